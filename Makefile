@@ -1,0 +1,52 @@
+# make demo        the main job on the built-in world: tables, figures and logs in demo/
+# make test        lint, types and the test suite
+# make test-long   the same with the tests that take minutes
+# make bench       every script of benchmarks/
+# make lint        lint and types alone
+# make clean       removes the environment and everything that was built
+#
+# Each sets up the environment .venv first where that is needed. PYTHON=/path/to/python3.12 chooses the interpreter.
+
+.PHONY: demo test test-long bench lint clean
+
+bin := .venv/bin
+ready := .venv/ready
+benchmarks := $(filter-out benchmarks/_%,$(wildcard benchmarks/*.py))
+
+demo: $(ready)
+	$(bin)/slamkit demo --out demo
+
+test: lint
+	$(bin)/python -m pytest
+
+test-long: lint
+	$(bin)/python -m pytest -m "slow or not slow"
+
+bench: $(ready)
+	@set -e; for script in $(benchmarks); do echo "$$script"; $(bin)/python "$$script"; done
+
+lint: $(ready)
+	$(bin)/ruff check
+	$(bin)/ruff format --check
+	$(bin)/mypy
+	MYPYPATH=typings $(bin)/stubtest filterpy.kalman --ignore-missing-stub --concise
+
+clean:
+	rm -rf .venv build dist demo slamkit.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find slamkit models tests tutorials benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# A candidate must be new enough and able to make an environment with pip: a system's python3 may lack ensurepip.
+$(ready): setup.cfg pyproject.toml
+	@$(bin)/python -m pip --version >/dev/null 2>&1 || { \
+	for python in $(if $(PYTHON),"$(PYTHON)",python3 python3.14 python3.13 python3.12 python3.11); do \
+		"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 || continue; \
+		"$$python" -m venv --clear .venv >/dev/null 2>&1 && exit 0; \
+		rm -rf .venv; \
+		echo "$$python cannot make a virtual environment (on Debian and Ubuntu: apt install python3-venv)" >&2; \
+	done; \
+	echo "slamkit needs Python 3.11 or newer with venv and pip, and found none as $(or $(PYTHON),python3 or python3.11 to python3.14 on PATH)." >&2; \
+	echo "Install one, or name it: make PYTHON=/path/to/python3" >&2; \
+	exit 1; }
+	@echo "Installing slamkit and its tools into .venv; the first time takes a minute or two."
+	@$(bin)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@

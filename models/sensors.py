@@ -1,0 +1,227 @@
+"""Sensor models: range-bearing and relative position.
+
+With Δ = l - p, C = R(θ) and b = CᵀΔ (the landmark as the robot sees it), every sensor here is z = h(b), so
+H_landmark = H_b Cᵀ and H_pose = -H_b Cᵀ[I, J Δ] with H_b = ∂h/∂b.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import atan2, cos, nan, sin, sqrt
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slamkit.compiled import compiled
+from slamkit.errors import InputError
+from slamkit.models._base import CompiledSensor, frozen, standard_deviation
+from slamkit.protocols import SensorFunctions
+from slamkit.se2 import wrap_angle
+
+Array = NDArray[np.float64]
+PREDICT = "void(vector, vector, vector, vector)"
+JACOBIANS = "void(vector, vector, vector, matrix, matrix)"
+
+#: A landmark closer than this [m] has no bearing.
+SMALLEST_RANGE = 1e-6
+
+
+@compiled(PREDICT)
+def range_bearing(pose: Any, landmark: Any, params: Any, out: Any) -> None:
+    """z = (r, atan2(Δy, Δx) - θ); NaN within the smallest range, where there is no bearing."""
+    dx, dy = landmark[0] - pose[0], landmark[1] - pose[1]
+    r = sqrt(dx * dx + dy * dy)
+    if r < SMALLEST_RANGE:
+        r = nan
+    out[0] = r
+    out[1] = wrap_angle(atan2(dy, dx) - pose[2])
+
+
+@compiled(JACOBIANS)
+def range_bearing_jacobians(pose: Any, landmark: Any, params: Any, H_pose: Any, H_landmark: Any) -> None:
+    """∂z/∂(p, θ) = [-Δx/r -Δy/r 0; Δy/q -Δx/q -1], ∂z/∂l = [Δx/r Δy/r; -Δy/q Δx/q], q = r²."""
+    dx, dy = landmark[0] - pose[0], landmark[1] - pose[1]
+    q = dx * dx + dy * dy
+    r = sqrt(q)
+    if r < SMALLEST_RANGE:
+        r = q = nan
+    H_landmark[0, 0] = dx / r
+    H_landmark[0, 1] = dy / r
+    H_landmark[1, 0] = -dy / q
+    H_landmark[1, 1] = dx / q
+    H_pose[0, 0] = -dx / r
+    H_pose[0, 1] = -dy / r
+    H_pose[0, 2] = 0.0
+    H_pose[1, 0] = dy / q
+    H_pose[1, 1] = -dx / q
+    H_pose[1, 2] = -1.0
+
+
+@compiled(PREDICT)
+def range_bearing_residual(z: Any, z_hat: Any, params: Any, out: Any) -> None:
+    """Difference with the bearing wrapped; NaN for a range that cannot be."""
+    out[0] = z[0] - z_hat[0] if z[0] >= 0.0 else nan
+    out[1] = wrap_angle(z[1] - z_hat[1])
+
+
+@compiled(PREDICT)
+def range_bearing_invert(pose: Any, z: Any, params: Any, out: Any) -> None:
+    """l = p + r (cos(θ + β), sin(θ + β)); NaN within the smallest range."""
+    r = z[0] if z[0] >= SMALLEST_RANGE else nan
+    out[0] = pose[0] + r * cos(pose[2] + z[1])
+    out[1] = pose[1] + r * sin(pose[2] + z[1])
+
+
+@compiled(JACOBIANS)
+def range_bearing_inverse_jacobians(pose: Any, z: Any, params: Any, G_pose: Any, G_z: Any) -> None:
+    """∂l/∂(p, θ) = [I, J(l - p)], ∂l/∂(r, β)."""
+    c, s = cos(pose[2] + z[1]), sin(pose[2] + z[1])
+    G_pose[0, 0] = G_pose[1, 1] = 1.0
+    G_pose[0, 1] = G_pose[1, 0] = 0.0
+    G_pose[0, 2] = G_z[0, 1] = -z[0] * s
+    G_pose[1, 2] = G_z[1, 1] = z[0] * c
+    G_z[0, 0] = c
+    G_z[1, 0] = s
+
+
+@dataclass(frozen=True)
+class RangeBearing(CompiledSensor):
+    """Range and bearing: z = (r [m], β [rad]), β counter-clockwise from the robot's x axis.
+
+    A range of zero can be compared, but a landmark cannot be started from it; a landmark closer than 1e-6 m to the
+    robot has no bearing, and filters refuse the sighting with an error that says so.
+
+    Parameters
+    ----------
+    sigma_range : float
+        Standard deviation of the range [m], > 0.
+    sigma_bearing : float
+        Standard deviation of the bearing [rad], > 0.
+
+    Raises
+    ------
+    InputError
+        A standard deviation is not positive or not finite.
+
+    References
+    ----------
+    Thrun, Burgard & Fox, Probabilistic Robotics (2005), section 6.6.
+    """
+
+    sigma_range: float
+    sigma_bearing: float
+
+    functions: ClassVar[SensorFunctions] = SensorFunctions(  # type: ignore[misc]
+        range_bearing,
+        range_bearing_jacobians,
+        range_bearing_residual,
+        range_bearing_invert,
+        range_bearing_inverse_jacobians,
+    )
+
+    def __post_init__(self) -> None:
+        for name in ("sigma_range", "sigma_bearing"):
+            object.__setattr__(self, name, standard_deviation(name, getattr(self, name), zero=False))
+
+    @cached_property
+    def R(self) -> Array:  # noqa: N802
+        """diag(σ_r², σ_β²) [m², rad²]."""
+        return frozen(np.diag([self.sigma_range**2, self.sigma_bearing**2]))
+
+    def validate(self, z: ArrayLike) -> None:
+        """Raise an InputError that names the first measurement (..., 2) with a negative range."""
+        ranges = np.asarray(z, dtype=float)[..., 0]
+        if np.any(ranges < 0):
+            raise InputError(f"range is {np.extract(ranges < 0, ranges)[0]} m, expected a range ≥ 0")
+
+
+@compiled(PREDICT)
+def relative_position(pose: Any, landmark: Any, params: Any, out: Any) -> None:
+    """z = Cᵀ(l - p)."""
+    dx, dy = landmark[0] - pose[0], landmark[1] - pose[1]
+    c, s = cos(pose[2]), sin(pose[2])
+    out[0] = c * dx + s * dy
+    out[1] = c * dy - s * dx
+
+
+@compiled(JACOBIANS)
+def relative_position_jacobians(pose: Any, landmark: Any, params: Any, H_pose: Any, H_landmark: Any) -> None:
+    """∂z/∂(p, θ) = -Cᵀ[I, J(l - p)], ∂z/∂l = Cᵀ."""
+    dx, dy = landmark[0] - pose[0], landmark[1] - pose[1]
+    c, s = cos(pose[2]), sin(pose[2])
+    H_landmark[0, 0] = H_landmark[1, 1] = c
+    H_landmark[0, 1] = s
+    H_landmark[1, 0] = -s
+    H_pose[0, 0] = H_pose[1, 1] = -c
+    H_pose[0, 1] = -s
+    H_pose[1, 0] = s
+    H_pose[0, 2] = c * dy - s * dx
+    H_pose[1, 2] = -c * dx - s * dy
+
+
+@compiled(PREDICT)
+def difference(z: Any, z_hat: Any, params: Any, out: Any) -> None:
+    """z - ẑ."""
+    out[0] = z[0] - z_hat[0]
+    out[1] = z[1] - z_hat[1]
+
+
+@compiled(PREDICT)
+def relative_position_invert(pose: Any, z: Any, params: Any, out: Any) -> None:
+    """l = p + C z."""
+    c, s = cos(pose[2]), sin(pose[2])
+    out[0] = pose[0] + c * z[0] - s * z[1]
+    out[1] = pose[1] + s * z[0] + c * z[1]
+
+
+@compiled(JACOBIANS)
+def relative_position_inverse_jacobians(pose: Any, z: Any, params: Any, G_pose: Any, G_z: Any) -> None:
+    """∂l/∂(p, θ) = [I, J(l - p)], ∂l/∂z = C."""
+    c, s = cos(pose[2]), sin(pose[2])
+    G_pose[0, 0] = G_pose[1, 1] = 1.0
+    G_pose[0, 1] = G_pose[1, 0] = 0.0
+    G_pose[0, 2] = -(s * z[0] + c * z[1])
+    G_pose[1, 2] = c * z[0] - s * z[1]
+    G_z[0, 0] = G_z[1, 1] = c
+    G_z[0, 1] = -s
+    G_z[1, 0] = s
+
+
+@dataclass(frozen=True)
+class RelativePosition(CompiledSensor):
+    """The landmark's position in robot axes: z = Cᵀ(l - p) [m, m]. Defined everywhere, at range zero too.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation of each coordinate [m], > 0.
+
+    Raises
+    ------
+    InputError
+        `sigma` is not positive or not finite.
+
+    References
+    ----------
+    Huang, Mourikis & Roumeliotis, IJRR 29(5):502-528 (2010), equation 9.
+    """
+
+    sigma: float
+
+    functions: ClassVar[SensorFunctions] = SensorFunctions(  # type: ignore[misc]
+        relative_position,
+        relative_position_jacobians,
+        difference,
+        relative_position_invert,
+        relative_position_inverse_jacobians,
+    )
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sigma", standard_deviation("sigma", self.sigma, zero=False))
+
+    @cached_property
+    def R(self) -> Array:  # noqa: N802
+        """σ² I₂ [m²]."""
+        return frozen(np.eye(2) * self.sigma**2)

@@ -1,0 +1,202 @@
+"""How numerical functions become machine code: the one decorator, and what Python shares with compiled code.
+
+Nothing is imported from Numba, and nothing is compiled, before the first call. Compiled code is kept on disk in a
+folder named after a digest of slamkit's own sources, so that no change of slamkit ever meets stale machine code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import platform
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache, cached_property
+from pathlib import Path
+from types import FunctionType, ModuleType, SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled"]
+
+
+class Compiled:
+    """A function that compiles itself at its first call.
+
+    ``f(...)`` runs the machine code; ``f.plain(...)`` runs the same source in Python over compiled primitives.
+
+    Parameters
+    ----------
+    function : callable
+        Written in the part of Python that Numba compiles; it may call other `Compiled` functions by name.
+    signature : str
+        Its type, in the words of `slamkit.compiled.structures`: ``void``, ``real``, ``index``, ``flag``,
+        ``vector``, ``matrix``, ``cube``, ``integers``, ``flags``, ``state``, ``models``, ``policy``.
+    generic : bool
+        True: it calls functions of models or filters, so its Python form calls the Python forms of what it uses.
+    """
+
+    def __init__(self, function: FunctionType, signature: str, *, generic: bool = False) -> None:
+        self.function, self.signature, self.generic = function, signature, generic
+        self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
+
+    def _over(self, choose: Callable[[Compiled], Any]) -> FunctionType:
+        """The function over the same globals, with every `Compiled` among them replaced."""
+        f = self.function
+        used = {n: choose(v) for n in f.__code__.co_names if isinstance(v := f.__globals__.get(n), Compiled)}
+        copy = FunctionType(f.__code__, {**f.__globals__, **used}, f.__name__, f.__defaults__, f.__closure__)
+        copy.__module__, copy.__qualname__ = f.__module__, f.__qualname__
+        return copy
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """Numba's dispatcher, compiled now or read from the cache."""
+        structures = load_structures()
+        import numba
+
+        function = self._over(lambda c: c.dispatcher)
+        # contract lets a·b + c be one instruction; no other rule of floating-point arithmetic is relaxed.
+        with cache_folder():
+            jit = numba.njit(cache=True, fastmath={"contract"}, error_model="numpy", nogil=True)
+            dispatcher = jit(function)
+            dispatcher.compile(eval(self.signature, dict(structures.WORDS)))
+        dispatcher.disable_compile()
+        return dispatcher
+
+    @cached_property
+    def plain(self) -> Callable[..., Any]:
+        """The same source in Python."""
+        return self._over(lambda c: c.plain if c.generic else c)
+
+    def __call__(self, *args: Any) -> Any:
+        return self.dispatcher(*[a.handle if isinstance(a, Shared) else a for a in args])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _find, (self.function.__module__, self.function.__qualname__)
+
+
+def _find(module: str, name: str) -> Any:
+    return getattr(importlib.import_module(module), name)
+
+
+def compiled(signature: str, *, generic: bool = False) -> Callable[[Callable[..., Any]], Compiled]:
+    """Decorate a function so that it compiles at its first call; see :class:`Compiled`."""
+
+    def decorate(function: Callable[..., Any]) -> Compiled:
+        assert isinstance(function, FunctionType)
+        return Compiled(function, signature, generic=generic)
+
+    return decorate
+
+
+class Shared:
+    """A Python object with a twin in compiled code, which is made when it is first asked for."""
+
+    kind: str
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    def __init__(self, **fields: Any) -> None:
+        self.fields = fields
+        self.__dict__.update(fields)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {n: v for n, v in self.__dict__.items() if n not in ("handle", "plain")}
+
+    @cached_property
+    def handle(self) -> Any:
+        """The structure that compiled functions take."""
+        make = load_structures().MAKERS[self.kind]
+        return make(**{n: getattr(v, "dispatcher", v) for n, v in self.fields.items()})
+
+
+class State(Shared):
+    """Belief and workspace. The arrays are shared with compiled code: each side sees what the other writes."""
+
+    kind = "state"
+
+
+class Models(Shared):
+    """A motion and a sensor model as functions that write into their last arguments.
+
+    Parameters
+    ----------
+    compiled : bool
+        Whether every function can be compiled; if not, steps run as Python.
+    **fields
+        The functions, parameters and R named in `slamkit.compiled.structures.MODELS_FIELDS`.
+    """
+
+    kind = "models"
+
+    def __init__(self, *, compiled: bool, **fields: Any) -> None:
+        super().__init__(**fields)
+        self.compiled = compiled
+
+
+class Policy(Shared):
+    """What distinguishes one estimator: five functions and three numbers, see `slamkit.filters.steps`."""
+
+    kind = "policy"
+
+    @cached_property
+    def plain(self) -> SimpleNamespace:
+        """The same policy with the Python forms of its functions."""
+        generic = {n: v.plain for n, v in self.fields.items() if isinstance(v, Compiled) and v.generic}
+        return SimpleNamespace(**{**self.fields, **generic})
+
+
+def call(step: Compiled, policy: Policy, models: Models, *args: Any) -> Any:
+    """Run a step: as machine code where the models allow it, else the same source as Python."""
+    if models.compiled:
+        return step(policy, models, *args)
+    return step.plain(policy.plain, models, *args)
+
+
+@cache
+def load_structures() -> ModuleType:
+    """`slamkit.compiled.structures`, imported at the first need of it."""
+    with cache_folder():
+        return importlib.import_module("slamkit.compiled.structures")
+
+
+@contextmanager
+def cache_folder() -> Iterator[None]:
+    """Within the block Numba caches in slamkit's folder; the caller's own setting is put back afterwards."""
+    from numba import config
+    from numba.core.errors import NumbaExperimentalFeatureWarning
+
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(_cache_path(before))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
+            yield
+    finally:
+        config.CACHE_DIR = before
+
+
+@cache
+def _cache_path(configured: str) -> Path:
+    if configured:
+        root = Path(configured)
+    else:
+        import platformdirs
+
+        root = Path(platformdirs.user_cache_dir("slamkit", appauthor=False))
+    return root / f"compiled-{_digest()}"
+
+
+def _digest() -> str:
+    """Digest of every source that takes part in compilation, and of the versions that decide what it becomes."""
+    import numba
+
+    package = Path(__file__).resolve().parent.parent
+    sources = [*package.glob("compiled/*.py"), *package.glob("filters/*.py"), *package.glob("models/*.py")]
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version} {platform.machine()}".encode())
+    for path in sorted([*sources, package / "kernels.py"]):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:16]

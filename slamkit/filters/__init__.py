@@ -1,0 +1,30 @@
+"""The estimators, one a file, and their names on the command line and in figures."""
+
+from typing import Any
+
+from slamkit.filters.ekf import EKFSLAM
+from slamkit.filters.first_estimates import FirstEstimatesEKFSLAM
+from slamkit.filters.invariant import InvariantEKFSLAM
+from slamkit.filters.iterated import IteratedEKFSLAM
+from slamkit.filters.observability import ObservabilityConstrainedEKFSLAM
+
+#: Command-line name → estimator.
+FILTERS: dict[str, Any] = {
+    f.name: f
+    for f in (
+        EKFSLAM,
+        FirstEstimatesEKFSLAM,
+        ObservabilityConstrainedEKFSLAM,
+        InvariantEKFSLAM,
+        IteratedEKFSLAM,
+    )
+}
+
+__all__ = [
+    "EKFSLAM",
+    "FILTERS",
+    "FirstEstimatesEKFSLAM",
+    "InvariantEKFSLAM",
+    "IteratedEKFSLAM",
+    "ObservabilityConstrainedEKFSLAM",
+]

@@ -1,0 +1,63 @@
+"""The standard EKF: every Jacobian at the current estimate."""
+
+from __future__ import annotations
+
+from filterpy.kalman import ExtendedKalmanFilter
+
+from slamkit.filters.base import LandmarkFilter
+
+
+class EKFSLAM(LandmarkFilter, ExtendedKalmanFilter):  # type: ignore[misc, override]  # properties here
+    """EKF-SLAM: one Gaussian over the pose and every landmark, linearised at the current estimate.
+
+    Parameters
+    ----------
+    motion : MotionModel
+        How the robot moves; one of `slamkit.models` or your own.
+    sensor : SensorModel
+        How it sees a landmark; likewise.
+    pose : array_like (3,)
+        Where it starts: x [m], y [m], θ [rad].
+    pose_covariance : array_like (3, 3), optional
+        How well that is known; None: exactly, which is the rule in SLAM, where the start defines the map's frame.
+    order : {"sequential", "batch"}
+        A scan's sightings one after the other, each linearised anew, or as one stacked update.
+    gate : float, optional
+        Largest NIS yᵀS⁻¹y that is accepted; None accepts every sighting.
+    snapshots : bool
+        True keeps x_prior, P_prior, x_post and P_post as filterpy does, at the cost of two copies of P a step.
+
+    Attributes
+    ----------
+    pose, pose_covariance, landmarks
+        The belief, without materialising P.
+    x, P, y, S, K, z, log_likelihood, likelihood, mahalanobis
+        As in filterpy; y, S, K and z are of the last update. x and P are read-only copies: assign to change them.
+
+    Raises
+    ------
+    InputError
+        An argument does not fit.
+    ModelError
+        A model lacks a method of its protocol.
+
+    Notes
+    -----
+    A prediction costs O(D), a sighting O(D²/2) multiply-adds a row, and nothing allocates a D × D matrix. The
+    standard EKF claims too small a covariance for the heading, which nothing measures: see the consistent variants.
+
+    References
+    ----------
+    Smith, Self & Cheeseman, Estimating uncertain spatial relationships in robotics (1990);
+    Thrun, Burgard & Fox, Probabilistic Robotics (2005), table 10.1.
+
+    Examples
+    --------
+    >>> from slamkit.models import RangeBearing, Unicycle
+    >>> f = EKFSLAM(Unicycle(0.1, 0.05), RangeBearing(0.1, 0.02))
+    >>> f.step((1.0, 0.0), 1.0, {"tree": (2.0, 0.0)})
+    >>> f.landmarks["tree"].tolist()
+    [3.0, 0.0]
+    """
+
+    name = "ekf"

@@ -1,0 +1,86 @@
+"""The observability-constrained EKF: of all lever arms that keep the gauge unlearnt, those nearest to the estimates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slamkit.compiled import compiled
+from slamkit.filters import first_estimates
+from slamkit.filters.base import PolicyFunctions
+from slamkit.filters.ekf import EKFSLAM
+from slamkit.filters.standard import motion as standard_motion
+from slamkit.kernels import propagate
+
+# All lever arms are first estimates moved by one common vector -Δ, so that their differences stay what they were;
+# Δ is the least-squares choice over the robot and the landmarks of the scan, which is what the published linear
+# system solves. ``state.memory`` holds Δ and the position before the last prediction; ``state.points[:2]`` is
+# q = p_{k|k-1} + Δ, so that l_first - q is the lever arm.
+
+
+@compiled("void(models, state, vector, real)", generic=True)
+def motion(models: Any, state: Any, u: Any, dt: float) -> None:
+    """F for a scan that sees nothing; `scan` moves the lever arm when it knows what is seen."""
+    standard_motion(models, state, u, dt)
+    state.memory[2:4] = state.mean[:2]
+
+
+@compiled("void(models, state, integers, flag)", generic=True)
+def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
+    """Choose Δ as the mean of q - p and of l_first - l̂ over the known landmarks of the scan."""
+    if not moved:
+        return
+    memory, points, mean = state.memory, state.points, state.mean
+    tentative_x, tentative_y = points[0] - memory[2], points[1] - memory[3]
+    x, y, n = tentative_x, tentative_y, 1
+    for slot in slots:
+        if slot >= 0:
+            x += points[slot] - mean[slot]
+            y += points[slot + 1] - mean[slot + 1]
+            n += 1
+    memory[0], memory[1] = x / n, y / n
+    points[0], points[1] = mean[0] + memory[0], mean[1] + memory[1]
+    if n > 1:
+        move_lever(state, memory[0] - tentative_x, memory[1] - tentative_y)
+
+
+@compiled("void(state, real, real)")
+def move_lever(state: Any, dx: float, dy: float) -> None:
+    """Replace F by T F, T = [I, J(dx, dy); 0 1], in the prediction already made: P ← T (P - Q) Tᵀ + Q; O(D)."""
+    F, Q, old, rest = state.F, state.Q, state.F.copy(), state.Q.copy()
+    F[:, :] = 0.0
+    F[0, 0] = F[1, 1] = F[2, 2] = 1.0
+    F[0, 2], F[1, 2] = -dy, dx
+    for i in range(3):
+        for j in range(3):
+            s = 0.0
+            for a in range(3):
+                for b in range(3):
+                    s += F[i, a] * rest[a, b] * F[j, b]
+            Q[i, j] = rest[i, j] - s
+    propagate(state)
+    for i in range(2):
+        for j in range(3):
+            old[i, j] += F[i, 2] * old[2, j]
+    F[:, :] = old
+    Q[:, :] = rest
+
+
+class ObservabilityConstrainedEKFSLAM(EKFSLAM):
+    """Observability-constrained EKF-SLAM (OC-EKF 2.0): first-estimates Jacobians that follow the estimates.
+
+    Parameters, attributes and errors are those of :class:`slamkit.EKFSLAM`.
+
+    Notes
+    -----
+    The lever arms keep the differences of the first estimates, so the filter cannot learn the global heading, and
+    are otherwise as close to the current estimates as these differences allow. Sightings that come after a scan, in
+    calls of `observe` of their own, use the scan's choice. The landmark's initialisation differs from the published
+    one, which breaks the property it is made for.
+
+    References
+    ----------
+    Huang, Mourikis & Roumeliotis, IJRR 29(5):502-528 (2010), section 5.2.
+    """
+
+    name = "oc"
+    functions = PolicyFunctions(motion=motion, sensor=first_estimates.sensor, start=first_estimates.start, scan=scan)

@@ -1,0 +1,88 @@
+"""The standard EKF's linearisation, which most of the family shares in part."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slamkit.compiled import compiled
+from slamkit.se2 import wrap_angle
+
+
+@compiled("void(models, state, vector, vector, real)", generic=True)
+def motion_noise(models: Any, state: Any, pose: Any, u: Any, dt: float) -> None:
+    """Q ← G Σ_u Gᵀ + pose noise, with G already in the state."""
+    G, sigma, Q = state.G, state.sigma_u, state.Q
+    m = G.shape[1]
+    models.control_noise(u, dt, models.motion_params, sigma)
+    models.pose_noise(pose, u, dt, models.motion_params, Q)
+    for i in range(3):
+        for b in range(m):
+            s = 0.0
+            for a in range(m):
+                s += G[i, a] * sigma[a, b]
+            for j in range(3):
+                Q[i, j] += s * G[j, b]
+
+
+@compiled("void(models, state, vector, real)", generic=True)
+def motion(models: Any, state: Any, u: Any, dt: float) -> None:
+    """Linearise the motion at the current estimate."""
+    pose = state.mean[:3]
+    models.move(pose, u, dt, models.motion_params, state.pose)
+    state.pose[2] = wrap_angle(state.pose[2])
+    models.motion_jacobians(pose, u, dt, models.motion_params, state.F, state.G)
+    motion_noise(models, state, pose, u, dt)
+
+
+@compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
+def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
+    """Linearise the sensor at the given pose and landmark."""
+    k = z.shape[0]
+    models.predict(pose, landmark, models.sensor_params, state.z_hat)
+    models.residual(z, state.z_hat, models.sensor_params, state.y[row : row + k])
+    models.sensor_jacobians(
+        pose, landmark, models.sensor_params, state.H_pose[row : row + k], state.H_landmark[row : row + k]
+    )
+    state.noise[row : row + k, :] = models.R
+
+
+@compiled("void(models, state, index, index, vector)", generic=True)
+def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
+    """New landmark l = g(x, z): its mean, G_pose = ∂g/∂x, and the block's own noise G_z R G_zᵀ."""
+    G, block = state.G_z, state.block
+    k = z.shape[0]
+    pose = state.mean[:3]
+    models.invert(pose, z, models.sensor_params, state.mean[slot : slot + 2])
+    models.inverse_jacobians(pose, z, models.sensor_params, state.G_pose, G)
+    block[:, :] = 0.0
+    for i in range(2):
+        for b in range(k):
+            s = 0.0
+            for a in range(k):
+                s += G[i, a] * models.R[a, b]
+            for j in range(2):
+                block[i, j] += s * G[j, b]
+
+
+@compiled("void(models, state, integers, flag)", generic=True)
+def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
+    """Nothing to prepare."""
+
+
+@compiled("void(state)")
+def retract(state: Any) -> None:
+    """x ← x + dx, heading wrapped."""
+    D = state.size[0]
+    mean, dx = state.mean[:D], state.dx[:D]
+    for i in range(D):
+        mean[i] += dx[i]
+    mean[2] = wrap_angle(mean[2])
+
+
+@compiled("void(state, vector, matrix)")
+def report(state: Any, pose: Any, covariance: Any) -> None:
+    """The belief is in standard coordinates already."""
+    for i in range(3):
+        pose[i] = state.mean[i]
+        for j in range(i + 1):
+            covariance[i, j] = covariance[j, i] = state.cov[i, j]

@@ -1,0 +1,282 @@
+"""One step of every estimator: predict, take the scan, report.
+
+The same source runs compiled (compiled models) and as Python (a model in plain Python). What distinguishes an
+estimator stands in its policy:
+
+``motion(models, state, u, dt)``
+    writes the pose to arrive at, F and Q.
+``sensor(models, state, pose, landmark, slot, z, row)``
+    linearises one sighting at (pose, landmark): writes its rows of y, H_pose, H_landmark and noise.
+``start(models, state, slot, place, z)``
+    writes a new landmark's mean, G_pose and the noise of its block; `place` is the sighting's place in the scan.
+``scan(models, state, slots, moved)``
+    is told which landmarks a scan holds (-1: not in the map) before it is taken, and whether a prediction preceded it.
+``retract(state)``
+    moves the mean by dx, in the estimator's own error coordinates.
+``report(state, pose, covariance)``
+    writes the pose and its covariance in standard coordinates.
+``gate, iterations, batch``
+    largest NIS that is accepted; linearisations of an update; whether a scan is one stacked update.
+"""
+
+from __future__ import annotations
+
+from math import inf, nan
+from typing import Any
+
+import numpy as np
+
+from slamkit.compiled import compiled
+from slamkit.kernels import (
+    all_finite,
+    augment,
+    cholesky,
+    correction,
+    downdate,
+    forward,
+    is_finite,
+    project,
+    propagate,
+    whiten,
+)
+
+OK, BAD_MOTION, BAD_SIGHTING, NOT_DEFINITE = 0, 1, 2, 3
+
+
+@compiled("index(models, state, integers, matrix)", generic=True)
+def first_bad(models: Any, state: Any, slots: Any, z: Any) -> int:
+    """The first sighting that the sensor cannot use from ``state.pose``, or -1; asked before anything changes."""
+    for i in range(slots.shape[0]):
+        landmark = state.at[:2]
+        if slots[i] >= 0:
+            landmark[:] = state.mean[slots[i] : slots[i] + 2]
+        else:
+            models.invert(state.pose, z[i], models.sensor_params, landmark)
+        models.predict(state.pose, landmark, models.sensor_params, state.z_hat)
+        models.residual(z[i], state.z_hat, models.sensor_params, state.effective[: z.shape[1]])
+        if not is_finite(state.effective[: z.shape[1]]):
+            return i
+    return -1
+
+
+@compiled("index(policy, models, state, index)", generic=True)
+def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
+    """Linearise the n sightings in ``state.slots`` at ``state.at``; how many of them gave finite numbers.
+
+    Those that did not (a landmark that an earlier sighting of the scan moved onto the robot) are refused.
+    """
+    k = models.R.shape[0]
+    kept = 0
+    for j in range(n):
+        rows = slice(kept * k, (kept + 1) * k)
+        state.slots[kept], state.order[kept] = state.slots[j], state.order[j]
+        if kept != j:
+            state.z[rows] = state.z[j * k : (j + 1) * k]
+            state.at[3 + 2 * kept : 5 + 2 * kept] = state.at[3 + 2 * j : 5 + 2 * j]
+        landmark = state.at[3 + 2 * kept : 5 + 2 * kept]
+        policy.sensor(models, state, state.at[:3], landmark, state.slots[kept], state.z[rows], kept * k)
+        if is_finite(state.y[rows]) and all_finite(state.H_pose[rows]) and all_finite(state.H_landmark[rows]):
+            kept += 1
+    return kept
+
+
+@compiled("index(policy, models, state, index)", generic=True)
+def screen(policy: Any, models: Any, state: Any, n: int) -> int:
+    """Record each innovation and NIS, drop those beyond the gate; how many stay, -1 if S is not definite."""
+    k = models.R.shape[0]
+    kept = 0
+    for j in range(n):
+        place = state.order[j]
+        if not cholesky(state.S, state.L, j * k, k):
+            return -1
+        nis = forward(state.L, state.y, state.t, j * k, k)
+        state.innovations[place, :] = state.y[j * k : (j + 1) * k]
+        state.nis[place] = nis
+        if nis <= policy.gate:
+            state.accepted[place] = True
+            state.slots[kept], state.order[kept] = state.slots[j], state.order[j]
+            state.z[kept * k : (kept + 1) * k] = state.z[j * k : (j + 1) * k]
+            kept += 1
+    return kept
+
+
+@compiled("void(state, index)")
+def aim(state: Any, n: int) -> None:
+    """Linearise at the mean."""
+    state.at[:3] = state.mean[:3]
+    for j in range(n):
+        slot = state.slots[j]
+        state.at[3 + 2 * j : 5 + 2 * j] = state.mean[slot : slot + 2]
+
+
+@compiled("void(state, index, index)")
+def shift_innovation(state: Any, n: int, k: int) -> None:
+    """effective ← y - H (mean - at): the innovation of the linear model that touches h at ``state.at``."""
+    for r in range(n * k):
+        slot, at = state.slots[r // k], 3 + 2 * (r // k)
+        s = state.y[r]
+        for c in range(3):
+            s -= state.H_pose[r, c] * (state.mean[c] - state.at[c])
+        for c in range(2):
+            s -= state.H_landmark[r, c] * (state.mean[slot + c] - state.at[at + c])
+        state.effective[r] = s
+
+
+@compiled("real(state, index)")
+def advance(state: Any, n: int) -> float:
+    """Move ``state.at`` to mean + dx; the largest change."""
+    change = 0.0
+    for c in range(3):
+        new = state.mean[c] + state.dx[c]
+        change = max(change, abs(new - state.at[c]))
+        state.at[c] = new
+    for j in range(n):
+        slot = state.slots[j]
+        for c in range(2):
+            new = state.mean[slot + c] + state.dx[slot + c]
+            change = max(change, abs(new - state.at[3 + 2 * j + c]))
+            state.at[3 + 2 * j + c] = new
+    return change
+
+
+@compiled("index(policy, models, state, index)", generic=True)
+def correct(policy: Any, models: Any, state: Any, n: int) -> int:
+    """One update by the n sightings in ``state.slots`` and ``state.z``, stacked.
+
+    With more than one iteration it is the iterated EKF: linearise at the last iterate until it stands still
+    (Bell & Cathey, IEEE TAC 38(2), 1993: Gauss-Newton on the same cost).
+    """
+    k = models.R.shape[0]
+    for j in range(n):
+        place = state.order[j]
+        state.accepted[place], state.nis[place] = False, inf
+        state.innovations[place, :] = nan
+    aim(state, n)
+    n = linearise(policy, models, state, n)
+    project(state, n, k)
+    kept = screen(policy, models, state, n)
+    if kept < 0:
+        return NOT_DEFINITE
+    if kept == 0:
+        return OK
+    if kept < n:
+        n = kept
+        aim(state, n)
+        linearise(policy, models, state, n)
+        project(state, n, k)
+    rows = n * k
+    state.effective[:rows] = state.y[:rows]
+    for iteration in range(policy.iterations):
+        if not cholesky(state.S, state.L, 0, rows):
+            return NOT_DEFINITE
+        forward(state.L, state.effective, state.t, 0, rows)
+        whiten(state, rows)
+        correction(state, rows)
+        if iteration + 1 == policy.iterations or advance(state, n) < 1e-12:
+            break
+        linearise(policy, models, state, n)
+        shift_innovation(state, n, k)
+        project(state, n, k)
+    state.size[1], state.size[2] = rows, state.size[0]
+    downdate(state, rows)
+    policy.retract(state)
+    return OK
+
+
+@compiled("index(policy, models, state, index, vector)", generic=True)
+def begin(policy: Any, models: Any, state: Any, place: int, z: Any) -> Any:
+    """Start a landmark from its first sighting; its slot."""
+    slot = state.size[0]
+    policy.start(models, state, slot, place, z)
+    augment(state, slot)
+    return slot
+
+
+@compiled("index(policy, models, state, integers, matrix, flag)", generic=True)
+def take(policy: Any, models: Any, state: Any, slots: Any, z: Any, moved: bool) -> Any:
+    """Take a scan: correct by the landmarks that are known, start the others and write their slots.
+
+    One after the other, each linearised anew, or (``policy.batch``) all known ones in one stacked update first.
+    """
+    n, k = z.shape
+    policy.scan(models, state, slots, moved)
+    for i in range(n):
+        if slots[i] < 0:
+            state.innovations[i, :], state.nis[i], state.accepted[i] = nan, nan, True
+    if policy.batch:
+        known = 0
+        for i in range(n):
+            if slots[i] >= 0:
+                state.slots[known], state.order[known] = slots[i], i
+                state.z[known * k : (known + 1) * k] = z[i]
+                known += 1
+        if known > 0:
+            status = correct(policy, models, state, known)
+            if status != OK:
+                return status
+        for i in range(n):
+            if slots[i] < 0:
+                slots[i] = begin(policy, models, state, i, z[i])
+        return OK
+    for i in range(n):
+        if slots[i] >= 0:
+            state.slots[0], state.order[0] = slots[i], i
+            state.z[:k] = z[i]
+            status = correct(policy, models, state, 1)
+            if status != OK:
+                return status
+        else:
+            slots[i] = begin(policy, models, state, i, z[i])
+    return OK
+
+
+@compiled("index(policy, models, state, vector, real, integers, matrix)", generic=True)
+def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z: Any) -> Any:
+    """Predict over dt (unless it is 0), then take the scan. A refused step has changed nothing."""
+    if dt > 0.0:
+        policy.motion(models, state, u, dt)
+        if not (is_finite(state.pose) and all_finite(state.F) and all_finite(state.Q)):
+            return BAD_MOTION
+    else:
+        state.pose[:] = state.mean[:3]
+    bad = first_bad(models, state, slots, z)
+    if bad >= 0:
+        state.size[3] = bad
+        return BAD_SIGHTING
+    if dt > 0.0:
+        state.mean[:3] = state.pose
+        propagate(state)
+    return take(policy, models, state, slots, z, dt > 0.0)
+
+
+@compiled(
+    "index(policy, models, state, matrix, vector, integers, integers, integers, integers, matrix, index, index, "
+    "matrix, cube, matrix, vector, flags)",
+    generic=True,
+)
+def run(
+    policy: Any, models: Any, state: Any,
+    controls: Any, dt: Any, control: Any, first: Any, which: Any, slot_of: Any, z: Any, begin_at: int, end_at: int,
+    poses: Any, covariances: Any, innovations: Any, nis: Any, accepted: Any,
+) -> int:  # fmt: skip
+    """Steps begin_at … end_at-1 of a schedule, recorded; the step that failed, or end_at. The status is in size[4].
+
+    ``which[j]`` is the log's landmark in observation j, ``slot_of`` maps it to its slot (-1: not in the map yet).
+    """
+    slots = np.empty(state.nis.shape[0], np.int64)
+    for i in range(begin_at, end_at):
+        lo, n = first[i], first[i + 1] - first[i]
+        for j in range(n):
+            slots[j] = slot_of[which[lo + j]]
+        status = step(policy, models, state, controls[max(control[i], 0)], dt[i], slots[:n], z[lo : lo + n])
+        for j in range(n):
+            slot_of[which[lo + j]] = slots[j]
+        state.size[4] = status
+        if status != OK:
+            return i
+        policy.report(state, poses[i], covariances[i])
+        for j in range(n):
+            innovations[lo + j, :] = state.innovations[j]
+            nis[lo + j] = state.nis[j]
+            accepted[lo + j] = state.accepted[j]
+    return end_at

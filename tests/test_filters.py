@@ -1,0 +1,518 @@
+"""Laws that every filter keeps, whatever its models."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from pathlib import Path
+from typing import Any
+
+import filterpy.kalman
+import numpy as np
+import pytest
+from family import FILTERS, MOTIONS, ORDERS, P0, SENSORS, PlainMotion, PlainSensor, control_for, drive
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from slamkit import InputError, Log, ModelError, Scan, SlamkitError
+from slamkit.models import RangeBearing, Unicycle
+from slamkit.se2 import wrap
+
+POSE = (0.3, -0.2, 3.0)
+every_filter = pytest.mark.parametrize("name", FILTERS)
+every_order = pytest.mark.parametrize("order", ORDERS)
+every_motion = pytest.mark.parametrize("motion", MOTIONS)
+every_sensor = pytest.mark.parametrize("sensor", SENSORS)
+
+
+def make(name: str, motion: Any = "unicycle", sensor: Any = "range-bearing", **options: Any) -> Any:
+    m = MOTIONS[motion] if isinstance(motion, str) else motion
+    s = SENSORS[sensor] if isinstance(sensor, str) else sensor
+    return FILTERS[name](m, s, POSE, P0, **options)
+
+
+def grown(name: str, **options: Any) -> Any:
+    f = make(name, **options)
+    f.run(drive(f.motion, f.sensor))
+    return f
+
+
+def same(a: Any, b: Any) -> bool:
+    return (
+        np.array_equal(a.x, b.x)
+        and np.array_equal(a.P, b.P)
+        and a.landmark_ids == b.landmark_ids
+        and np.array_equal(a.y, b.y)
+        and np.array_equal(a.S, b.S)
+        and np.array_equal(a.K, b.K)
+        and a.log_likelihood == b.log_likelihood
+    )
+
+
+@every_filter
+@every_order
+@every_motion
+@every_sensor
+def test_a_run_is_its_steps(name: str, order: str, motion: str, sensor: str) -> None:
+    a, b = make(name, motion, sensor, order=order), make(name, motion, sensor, order=order)
+    log = drive(a.motion, a.sensor)
+    history = a.run(log)
+    for k, step in enumerate(log):
+        if step.dt:
+            b.step(step.u, step.dt, step.scan)
+        else:
+            b.observe_scan(step.scan)
+        np.testing.assert_allclose(history.poses[k], b.pose, atol=1e-13)
+        np.testing.assert_allclose(history.pose_covariances[k], b.pose_covariance, atol=1e-13)
+    np.testing.assert_allclose(a.P, b.P, atol=1e-13)
+    np.testing.assert_allclose(history.landmarks, list(b.landmarks.values()), atol=1e-13)
+    started = np.isnan(history.nis)
+    assert started.sum() == len(log.landmark_ids)
+    assert history.accepted.all()
+    assert np.isfinite(history.innovations[~started]).all()
+
+
+@every_filter
+@every_order
+@every_sensor
+def test_a_plain_model_gives_the_same_history(name: str, order: str, sensor: str) -> None:
+    built_in = make(name, sensor=sensor, order=order)
+    plain = make(name, PlainMotion(built_in.motion), PlainSensor(built_in.sensor), order=order)
+    log = drive(built_in.motion, built_in.sensor)
+    a, b = built_in.run(log), plain.run(log)
+    for field in ("poses", "pose_covariances", "innovations", "nis", "landmarks", "landmark_covariances"):
+        np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-12, rtol=1e-12, err_msg=field)
+    assert np.array_equal(a.accepted, b.accepted)
+
+
+@every_filter
+def test_numba_functions_of_a_user_plug_in(name: str) -> None:
+    import numba
+
+    from slamkit.protocols import SensorFunctions
+
+    class Mine(PlainSensor):
+        params = np.empty(0)
+        functions = SensorFunctions(*[numba.njit(f.function) for f in _inlined()])
+
+    built_in = make(name, sensor="relative")
+    mine = make(name, sensor=Mine(built_in.sensor))
+    assert mine._models.compiled
+    log = drive(built_in.motion, built_in.sensor)
+    np.testing.assert_allclose(built_in.run(log).poses, mine.run(log).poses, atol=1e-12)
+
+
+def _inlined() -> Any:
+    """The relative-position functions need nothing from elsewhere, so they stand for a user's own."""
+    from slamkit.models.sensors import RelativePosition
+
+    return RelativePosition.functions
+
+
+@every_filter
+@every_order
+@every_sensor
+def test_covariance_stays_symmetric_and_positive_definite(name: str, order: str, sensor: str) -> None:
+    f = make(name, sensor=sensor, order=order)
+    f.run(drive(f.motion, f.sensor, steps=600, landmarks=12))
+    P = f.P
+    assert np.array_equal(P, P.T)
+    assert np.linalg.eigvalsh(P)[0] > 0
+    np.testing.assert_allclose(f.pose_covariance, P[:3, :3], rtol=1e-12)
+    np.testing.assert_allclose(f.pose, f.x[:3])
+
+
+@every_filter
+def test_prediction_touches_the_pose_only(name: str) -> None:
+    f = grown(name)
+    x, P = f.x, f.P
+    f.predict(control_for(f.motion, np.random.default_rng(2)), 0.3)
+    assert np.array_equal(f.x[3:], x[3:])
+    assert np.array_equal(f.P[3:, 3:], P[3:, 3:])
+    np.testing.assert_allclose(f.P, f.F @ P @ f.F.T + f.Q, atol=1e-13)
+
+
+@every_filter
+def test_marginals_are_blocks_of_the_whole(name: str) -> None:
+    f = grown(name)
+    ids = [f.landmark_ids[4], f.landmark_ids[1]]
+    at = [*range(3), 11, 12, 5, 6]
+    mean, covariance = f.marginal(ids, pose=True)
+    assert np.array_equal(mean, f.x[at])
+    assert np.array_equal(covariance, f.P[np.ix_(at, at)])
+    assert np.array_equal(f.marginal(ids)[1], covariance[3:, 3:])
+    with pytest.raises(InputError, match="no landmark 'nobody'"):
+        f.marginal(["nobody"])
+
+
+@every_filter
+def test_removal_marginalises(name: str) -> None:
+    f = grown(name)
+    x, P, gone = f.x, f.P, f.landmark_ids[2]
+    keep = np.r_[0:7, 9 : len(x)]
+    f.remove(gone)
+    assert gone not in f.landmarks
+    assert np.array_equal(f.x, x[keep])
+    assert np.array_equal(f.P, P[np.ix_(keep, keep)])
+    log = drive(f.motion, f.sensor, seed=9)
+    f.run(log)
+    assert gone in f.landmarks
+    assert np.linalg.eigvalsh(f.P)[0] > 0
+    with pytest.raises(InputError, match="no landmark"):
+        f.remove("nobody")
+
+
+@every_filter
+@every_order
+def test_copies_and_files_continue_bit_for_bit(name: str, order: str, tmp_path: Path) -> None:
+    f = grown(name, order=order)
+    path = tmp_path / "filter.npz"
+    f.save(path)
+    copies = [copy.deepcopy(f), pickle.loads(pickle.dumps(f)), type(f).load(path)]
+    later = drive(f.motion, f.sensor, seed=3)
+    for other in copies:
+        assert same(f, other)
+        assert repr(f) == repr(other)
+    expected = f.run(later)
+    for other in copies:
+        got = other.run(later)
+        assert same(f, other)
+        assert np.array_equal(expected.poses, got.poses)
+        assert np.array_equal(expected.nis, got.nis, equal_nan=True)
+
+
+@every_filter
+def test_a_copy_is_independent(name: str) -> None:
+    f = grown(name)
+    other, P = copy.deepcopy(f), f.P
+    other.predict((1.0, 0.1), 0.5)
+    other.remove(other.landmark_ids[0])
+    assert np.array_equal(f.P, P)
+
+
+def test_files_that_are_not_filters(tmp_path: Path) -> None:
+    f, path = grown("ekf"), tmp_path / "f.npz"
+    f.save(path)
+    whole = path.read_bytes()
+    for cut in (0, 10, len(whole) // 2, len(whole) - 5):
+        path.write_bytes(whole[:cut])
+        with pytest.raises(SlamkitError, match=r"f\.npz"):
+            type(f).load(path)
+    with pytest.raises(SlamkitError, match=r"absent\.npz"):
+        type(f).load(tmp_path / "absent.npz")
+
+
+@every_filter
+def test_filterpys_update_for_a_compass_and_a_gps(name: str) -> None:
+    f = grown(name)
+    dense = filterpy.kalman.ExtendedKalmanFilter(f.dim_x, 1)
+    dense.x, dense.P = f.x.copy(), f.P.copy()
+
+    def compass_jacobian(x: Any) -> Any:
+        H = np.zeros((1, len(x)))
+        H[0, 2] = 1.0
+        return H
+
+    def heading(x: Any) -> Any:
+        return x[2:3]
+
+    def turn(a: Any, b: Any) -> Any:
+        return wrap(a - b)
+
+    z = np.array([f.pose[2] + 0.05])
+    f.update(z, compass_jacobian, heading, R=np.array([[1e-3]]), residual=turn)
+    dense.update(z, compass_jacobian, heading, R=np.array([[1e-3]]), residual=turn)
+    if name in ("ekf",):
+        np.testing.assert_allclose(f.x, dense.x, atol=1e-12)
+        np.testing.assert_allclose(f.P, dense.P, atol=1e-12)
+        assert f.mahalanobis == pytest.approx(dense.mahalanobis)
+        np.testing.assert_allclose(f.K, dense.K, atol=1e-12)
+
+    def gps_jacobian(x: Any, arm: float) -> Any:
+        H = np.zeros((2, len(x)))
+        H[:, :2] = np.eye(2)
+        H[:, 2] = arm * np.array([-np.sin(x[2]), np.cos(x[2])])
+        return H
+
+    def antenna(x: Any, arm: float) -> Any:
+        return x[:2] + arm * np.array([np.cos(x[2]), np.sin(x[2])])
+
+    before = np.diag(f.P)[:2]
+    fix = antenna(f.x, 0.4) + 0.01
+    f.update(fix, gps_jacobian, antenna, R=1e-4, args=(0.4,), hx_args=0.4)
+    assert np.all(np.diag(f.P)[:2] < before)
+    np.testing.assert_allclose(antenna(f.x, 0.4), fix, atol=0.02)
+    assert np.linalg.eigvalsh(f.P)[0] > 0
+    for bad in (np.nan, [1.0, 2.0, 3.0]):
+        P = f.P
+        with pytest.raises((InputError, ValueError)):
+            f.update(bad, gps_jacobian, antenna, args=(0.4,), hx_args=(0.4,))
+        assert np.array_equal(f.P, P)
+
+
+@every_filter
+def test_predict_update_is_refused(name: str) -> None:
+    with pytest.raises(TypeError, match=r"predict\(u, dt\).*update"):
+        make(name).predict_update(0, None, None)
+
+
+@every_filter
+def test_x_and_P_are_assigned_not_poked(name: str) -> None:  # noqa: N802
+    f = grown(name)
+    with pytest.raises(ValueError, match="read-only"):
+        f.P[0, 0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        f.x[0] = 1.0
+    doubled = 2 * f.P
+    f.P = doubled
+    np.testing.assert_allclose(f.P, doubled, rtol=1e-14)
+    moved = f.x + 0.1
+    f.x = moved
+    np.testing.assert_allclose(f.x, moved)
+    for bad in (-doubled, doubled[:3], doubled * np.nan, np.triu(doubled)):
+        with pytest.raises(InputError):
+            f.P = bad
+        np.testing.assert_allclose(f.P, doubled, rtol=1e-14)
+
+
+@every_filter
+def test_every_attribute_of_filterpys_filter_is_there(name: str) -> None:
+    """Fails loudly when filterpy gains or renames an attribute that its users, or its own methods, may read."""
+    kind = FILTERS[name]
+    base = next(b for b in kind.__mro__ if b.__module__.startswith("filterpy"))
+    assert base in (filterpy.kalman.ExtendedKalmanFilter, filterpy.kalman.UnscentedKalmanFilter)
+    plain = filterpy.kalman.ExtendedKalmanFilter(3, 2)
+    f = grown(name, snapshots=True)
+    f.predict((1.0, 0.1), 0.5)
+    f.observe(f.landmark_ids[0], f.sensor.predict(f.pose, f.landmarks[f.landmark_ids[0]]))
+    private = {"_log_likelihood", "_likelihood", "_mahalanobis"}  # the properties that read them are overridden
+    assert {n for n in vars(plain) if n.startswith("_")} == private | {"_I"}
+    for attribute in set(vars(plain)) - private:
+        assert hasattr(f, attribute), attribute
+    assert f._I.shape == f.P.shape
+
+
+@every_filter
+def test_priors_and_posteriors_are_opt_in(name: str) -> None:
+    with pytest.raises(SlamkitError, match="snapshots=True"):
+        _ = grown(name).x_prior
+    f = make(name, snapshots=True)
+    f.step((1.0, 0.1), 0.5, {1: (2.0, 0.1)})
+    f.step((1.0, 0.1), 0.5, {1: (1.6, 0.1)})
+    assert np.trace(f.P_prior) > np.trace(f.P_post)
+    assert np.array_equal(f.x_post, f.x)
+    g = make(name)
+    g.step((1.0, 0.1), 0.5, {1: (2.0, 0.1)})
+    g.step((1.0, 0.1), 0.5, {1: (1.6, 0.1)})
+    np.testing.assert_allclose(f.P, g.P, atol=1e-14)
+
+
+@every_filter
+@every_order
+def test_the_gate_refuses_outliers(name: str, order: str) -> None:
+    f = make(name, order=order, gate=20.0)
+    f.observe_scan({1: (4.0, 0.0), 2: (3.0, 1.0), 3: (5.0, -1.0)})
+    other = copy.deepcopy(f)
+    log = Log([0.0], [(0.0, 0.0)], [1.0, 1.0, 1.0], [0, 1, 2], [(4.0, 0.0), (9.0, 0.5), (5.0, -1.0)], (1, 2, 3))
+    history = f.run(log)
+    assert history.accepted.tolist() == [True, False, True]
+    assert history.rejected == 1
+    assert history.nis[1] > 20
+    other.step((0.0, 0.0), 1.0, {1: (4.0, 0.0), 3: (5.0, -1.0)})
+    np.testing.assert_allclose(f.x, other.x, atol=1e-14)
+    np.testing.assert_allclose(f.P, other.P, atol=1e-14)
+
+
+@every_filter
+def test_ids_may_be_anything_hashable(name: str) -> None:
+    f = make(name)
+    ids = [7, "seven", (7, "a"), 7.5, None, frozenset({1})]
+    for n, i in enumerate(ids):
+        f.observe(i, (3.0 + n, 0.1 * n))
+    assert list(f.landmarks) == ids
+    assert list(f.landmark_ids) == ids
+    with pytest.raises(InputError, match="hashable"):
+        f.observe([1], (3.0, 0.1))
+
+
+@every_filter
+def test_progress_is_told(name: str) -> None:
+    f, told = make(name), []
+    log = drive(f.motion, f.sensor, steps=700)
+    f.run(log, progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (len(log), len(log))
+    assert [d for d, _ in told] == sorted(d for d, _ in told)
+
+
+# -- bad input: a clear error, an untouched belief
+
+bad_numbers = st.sampled_from([np.nan, np.inf, -np.inf])
+shapes = st.sampled_from([(), (1,), (3,), (4,), (2, 2), (0,)])
+
+
+def untouched(f: Any, act: Any, *errors: type[Exception]) -> None:
+    before = copy.deepcopy(f)
+    with pytest.raises(errors or InputError) as caught:
+        act()
+    assert str(caught.value)
+    assert same(before, f)
+
+
+FAMILY = {name: grown(name) for name in FILTERS}
+
+
+@every_filter
+@given(bad=bad_numbers, at=st.integers(0, 1))
+def test_controls_that_are_not_finite(name: str, bad: float, at: int) -> None:
+    f, u = FAMILY[name], [1.0, 0.2]
+    u[at] = bad
+    untouched(f, lambda: f.predict(u, 0.1))
+    untouched(f, lambda: f.step(u, 0.1, {}))
+    untouched(f, lambda: f.step(u, 0.1, {f.landmark_ids[0]: (2.0, 0.1)}))
+
+
+@every_filter
+@given(shape=shapes)
+def test_wrong_shapes(name: str, shape: tuple[int, ...]) -> None:
+    f, value = FAMILY[name], np.ones(shape)
+    untouched(f, lambda: f.predict(value, 0.1))
+    untouched(f, lambda: f.observe(f.landmark_ids[0], value))
+    untouched(f, lambda: f.observe("new", value))
+    untouched(f, lambda: f.step((1.0, 0.0), 0.1, {"new": value, f.landmark_ids[0]: value}))
+    untouched(f, lambda: f.step((1.0, 0.0), 0.1, value))
+    untouched(f, lambda: setattr(f, "x", value))
+    untouched(f, lambda: setattr(f, "P", value))
+
+
+@every_filter
+@given(dt=st.one_of(st.floats(max_value=0.0), bad_numbers, st.sampled_from([None, "x", (1, 2)])))
+def test_durations_that_are_not_positive(name: str, dt: Any) -> None:
+    f = FAMILY[name]
+    untouched(f, lambda: f.predict((1.0, 0.0), dt))
+    untouched(f, lambda: f.step((1.0, 0.0), dt, {f.landmark_ids[0]: (2.0, 0.1)}))
+
+
+@every_filter
+@given(
+    bad=st.one_of(st.floats(max_value=-1e-300), bad_numbers),
+    place=st.integers(0, 2),
+    bearing=st.floats(-10, 10),
+    known=st.booleans(),
+)
+def test_measurements_that_cannot_be(name: str, bad: float, place: int, bearing: float, known: bool) -> None:
+    f = FAMILY[name]
+    ids = list(f.landmark_ids[:3])
+    if not known:
+        ids[place] = "new"
+    z = np.array([[2.0, bearing]] * 3)
+    z[place, 0] = bad
+    untouched(f, lambda: f.step((1.0, 0.0), 0.1, Scan(ids, z)))
+    untouched(f, lambda: f.observe(ids[place], z[place]))
+
+
+@every_filter
+@given(z=arrays(float, (2, 2), elements=st.floats(0.1, 5)))
+def test_an_id_twice_in_a_scan(name: str, z: Any) -> None:
+    f = FAMILY[name]
+    untouched(f, lambda: f.step((1.0, 0.0), 0.1, Scan(["new", "new"], z)))
+    untouched(f, lambda: f.observe_scan(Scan([f.landmark_ids[0]] * 2, z)))
+
+
+@every_filter
+def test_a_landmark_on_the_robot(name: str) -> None:
+    f = copy.deepcopy(FAMILY[name])
+    x = f.x.copy()
+    x[3:5] = x[:2] + 1e-8
+    f.x = x
+    untouched(f, lambda: f.observe(f.landmark_ids[0], (0.5, 0.0)))
+    untouched(f, lambda: f.observe("new", (0.0, 0.0)))
+
+
+@every_filter
+def test_constructor_arguments(name: str) -> None:
+    kind, m, s = FILTERS[name], MOTIONS["unicycle"], SENSORS["range-bearing"]
+    for P in (-np.eye(3), np.eye(2), np.full((3, 3), np.nan), np.array([[1, 2, 0], [0, 1, 0], [0, 0, 1.0]]), "x"):
+        with pytest.raises(InputError, match="pose_covariance"):
+            kind(m, s, pose_covariance=P)
+    for pose in ((0, 0), (0, 0, np.nan), "abc", None):
+        with pytest.raises(InputError, match="pose"):
+            kind(m, s, pose=pose)
+    for options in ({"order": "random"}, {"gate": -1.0}, {"gate": np.nan}):
+        with pytest.raises(InputError, match=next(iter(options))):
+            kind(m, s, **options)
+    with pytest.raises(ModelError, match="move"):
+        kind(s, s)
+    with pytest.raises(ModelError, match="predict"):
+        kind(m, m)
+
+    class BadR(PlainSensor):
+        R = np.array([[1.0, 0.0], [0.0, -1.0]])
+
+    with pytest.raises(InputError, match="R"):
+        kind(m, BadR(s))
+
+
+@every_filter
+def test_a_model_that_raises_leaves_the_belief(name: str) -> None:
+    class Shy(PlainSensor):
+        patience = np.inf
+
+        def jacobians(self, pose: Any, landmark: Any) -> Any:
+            self.patience -= 1
+            if self.patience < 0:
+                raise RuntimeError("the model had enough")
+            return super().jacobians(pose, landmark)
+
+    f = make(name, sensor=Shy(SENSORS["range-bearing"]))
+    for i in range(4):
+        f.observe(i, (3.0, 0.5 * i))
+    f.step((1.0, 0.1), 0.1, {0: (3.0, 0.0)})
+    f.sensor.patience = 2
+    x, P = f.x, f.P
+    with pytest.raises(RuntimeError, match="had enough"):
+        f.step((1.0, 0.1), 0.1, {i: (3.0, 0.5 * i) for i in range(4)})
+    assert np.array_equal(f.x, x)
+    assert np.array_equal(f.P, P)
+
+
+@every_filter
+def test_a_model_that_returns_a_wrong_shape(name: str) -> None:
+    class Flat(PlainMotion):
+        def jacobians(self, pose: Any, u: Any, dt: float) -> Any:
+            return np.eye(2), np.ones((3, 2))
+
+    f = make(name, motion=Flat(MOTIONS["unicycle"]))
+    x = f.x
+    with pytest.raises(ModelError, match=r"Flat.jacobians gave shape \(2, 2\), expected \(3, 3\)"):
+        f.predict((1.0, 0.0), 0.1)
+    assert np.array_equal(f.x, x)
+
+
+@every_filter
+def test_a_run_that_fails_keeps_what_was_recorded(name: str) -> None:
+    f = make(name)
+    log = drive(f.motion, f.sensor)
+    z = log.observations.copy()
+    row = int(log.schedule.first[20])
+    z[row, 0] = -1.0
+    bad = Log(log.control_times, log.controls, log.observation_times, log.observation_ids, z, log.landmark_ids)
+    with pytest.raises(InputError, match=r"range is -1\.0 m.* at time 8\.") as caught:
+        f.run(bad)
+    history = caught.value.history  # type: ignore[attr-defined]
+    assert len(history.times) == 20
+    assert np.array_equal(f.pose, history.poses[-1])
+    with pytest.raises(InputError, match="columns"):
+        f.run(Log([0.0], [(1.0, 0.0)], [1.0], [0], [(1.0, 0.0, 0.0)], (1,)))
+    with pytest.raises(InputError, match="u has shape"):
+        f.run(Log([0.0], [(1.0, 0.0, 0.0)], [1.0], [0], [(1.0, 0.0)], (1,)))
+    with pytest.raises(InputError, match=r"expected a slamkit\.Log"):
+        f.run([1, 2, 3])
+
+
+def test_a_scan_on_an_exactly_known_pose_needs_no_jitter() -> None:
+    f = FILTERS["ekf"](Unicycle(0, 0), RangeBearing(0.1, 0.02))
+    f.step((1.0, 0.0), 1.0, {1: (2.0, 0.1)})
+    f.step((1.0, 0.0), 1.0, {1: (1.05, 0.2)})
+    assert np.array_equal(f.pose_covariance, np.zeros((3, 3)))
+    assert np.isfinite(f.mahalanobis)
