@@ -110,7 +110,7 @@ def _extrapolate(quotients: Iterator[tuple[Array, Array]]) -> Array:
             error = np.maximum(np.abs(row[-1] - row[-2]), np.abs(row[-1] - coarser))
             better = error < smallest  # never where the error is NaN
             best, smallest = np.where(better, row[-1], best), np.where(better, error, smallest)
-        if len(row) > 3 and np.all(smallest <= rounding):
+        if np.all(smallest <= rounding):
             break  # a shorter step can only do worse
         above = row
     return np.asarray(np.broadcast_to(best, quotient.shape))
@@ -286,7 +286,7 @@ class _Report:
         try:
             numeric = numeric_jacobian(f, at[argument], step=step, difference=difference)
         except Exception as error:
-            self.fail(f"{method} raises no error", f"{_short(error)}{self.hint}", at)
+            self.fail(f"{method} raises no error", f"{_short(error)}{self.hint}, as {argument} varies a little", at)
             return
         size = np.maximum(np.abs(analytic), np.abs(numeric))
         # An entry matters as its row and its column do; rows and columns differ in units.

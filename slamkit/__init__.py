@@ -3,18 +3,26 @@
 from slamkit.errors import InputError, LogFileError, ModelError, SlamkitError
 from slamkit.filters import (
     EKFSLAM,
+    UKFSLAM,
     FirstEstimatesEKFSLAM,
+    FullUKFSLAM,
+    IdealEKFSLAM,
     InvariantEKFSLAM,
     IteratedEKFSLAM,
     ObservabilityConstrainedEKFSLAM,
+    ObservabilityConstrainedUKFSLAM,
 )
 from slamkit.logs import History, Log, Scan, Truth
+from slamkit.models.check import check_model, numeric_jacobian
 from slamkit.simulate import World, simulate
 
 __all__ = [
     "EKFSLAM",
+    "UKFSLAM",
     "FirstEstimatesEKFSLAM",
+    "FullUKFSLAM",
     "History",
+    "IdealEKFSLAM",
     "InputError",
     "InvariantEKFSLAM",
     "IteratedEKFSLAM",
@@ -22,12 +30,13 @@ __all__ = [
     "LogFileError",
     "ModelError",
     "ObservabilityConstrainedEKFSLAM",
+    "ObservabilityConstrainedUKFSLAM",
     "Scan",
     "SlamkitError",
     "Truth",
     "World",
-
-
+    "check_model",
+    "numeric_jacobian",
     "simulate",
 ]
 __version__ = "0.1.0"

@@ -170,16 +170,19 @@ class Belief:
             S = H P Hᵀ + R is not positive definite; nothing has changed.
         """
         PHt = self.covariance @ H.T
-        S = H @ PHt + R
+        self.gain_of(PHt, H @ PHt + R, y)
+
+    def gain_of(self, cross: Array, S: Array, y: Array) -> None:
+        """Prepare the update from the cross-covariance (D, r) of state and observation, and S (r, r)."""
         try:
             L = np.linalg.cholesky((S + S.T) / 2)
         except np.linalg.LinAlgError:
-            raise DivergenceError(f"S = H P Hᵀ + R is not positive definite: {S}") from None
+            raise DivergenceError(f"the innovation covariance S is not positive definite: {S}") from None
         rows, D = len(y), self.dim
         self.reserve(0, sightings=-(-rows // self._k))
         s = self.state
         s.S[:rows, :rows], s.L[:rows, :rows], s.y[:rows] = S, L, y
-        s.w[:rows, :D] = solve_triangular(L, PHt.T, lower=True)
+        s.w[:rows, :D] = solve_triangular(L, cross.T, lower=True)
         s.t[:rows] = solve_triangular(L, y, lower=True)
         s.size[1], s.size[2] = rows, D
         kernels.correction(s, rows)
@@ -201,6 +204,16 @@ class Belief:
         s.G_pose[:], s.block[:] = np.asarray(G, dtype=float), np.asarray(noise, dtype=float)
         kernels.augment(s, slot)
         self.register(block_id, slot)
+
+    def append(self, mean: Array, cross: Array, block: Array) -> int:
+        """Append an unnamed block with its cross-covariance (2, D) to the whole state; its slot."""
+        self.reserve(1)
+        s, slot = self.state, self.dim
+        s.mean[slot : slot + BLOCK] = mean
+        s.cov[slot : slot + BLOCK, :slot] = cross
+        s.cov[slot : slot + BLOCK, slot : slot + BLOCK] = np.tril(block)
+        s.size[0] += BLOCK
+        return slot
 
     def remove(self, block_id: Hashable) -> None:
         """Marginalise a block out: its rows go, the rest of the Gaussian stays as it is; O(D²)."""

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit import metrics, se2
+from slamkit.consistency import chi2_bounds
 from slamkit.errors import InputError
 from slamkit.logs import History, Log, Truth
 
@@ -81,7 +82,7 @@ _FORMATS: dict[str, dict[str, None]] = {
     ".svg": {"Date": None, "Creator": None},
 }
 
-_PAPER: dict[str, Any] = {
+_PAPER: Any = {
     "font.size": 9.0,
     "axes.linewidth": 0.7,
     "axes.labelsize": 9.0,
@@ -184,6 +185,7 @@ def plot_map(
     probability: float = 0.95,
     pose_ellipses: int = 8,
     max_ids: int = 30,
+    legend: bool = True,
 ) -> Artists:
     """Trajectory and map with their ellipses, against truth and dead reckoning.
 
@@ -203,6 +205,8 @@ def plot_map(
         Number of poses, evenly spaced and the last among them, that get an ellipse.
     max_ids : int
         Landmark ids are written while there are no more than this.
+    legend : bool
+        False where :func:`shared_legend` or the caller makes one.
 
     Returns
     -------
@@ -218,7 +222,7 @@ def plot_map(
         sparse = _sparse(truth.times, history.times)
         artists["truth"] = [
             *ax.plot(
-                *truth.poses[:, :2].T,
+                *_broken(truth.times, *truth.poses[:, :2].T),
                 color=ground.color,
                 linestyle="none" if sparse else "-",
                 marker="." if sparse else "none",
@@ -258,7 +262,7 @@ def plot_map(
                 zorder=3,
             )
         ]
-    at = np.unique(np.linspace(0, len(path) - 1, pose_ellipses + 1).round().astype(int)[1:]) if len(path) else []
+    at = np.unique(np.linspace(0, max(len(path) - 1, 0), pose_ellipses + 1)[1:].round().astype(int))[: len(path)]
     if len(at):
         P = C @ history.pose_covariances[at][:, :2, :2] @ C.T
         outlines = ellipses(path[at], P, probability)
@@ -297,14 +301,27 @@ def plot_map(
             _outlines(ax, outlines, look.color, f"{probability:.0%} of the landmarks", filled=False)
         ]
         if len(positions) <= max_ids:
+            from matplotlib.patheffects import withStroke
+
+            halo = [withStroke(linewidth=1.5, foreground="white")]
             artists["ids"] = [
-                ax.annotate(str(i), p, xytext=(3.5, 3.5), textcoords="offset points", fontsize=7, color="0.25", zorder=3)
+                ax.annotate(
+                    str(i),
+                    p,
+                    xytext=(3.5, 3.5),
+                    textcoords="offset points",
+                    fontsize=7,
+                    color="0.2",
+                    path_effects=halo,
+                    zorder=3,
+                )
                 for i, p in zip(history.landmark_ids, positions, strict=True)
             ]
     ax.set(xlabel="x [m]", ylabel="y [m]")
     ax.margins(0.06)
     ax.set_aspect("equal", adjustable="datalim")
-    _legend(ax)
+    if legend:
+        _legend(ax)
     return artists
 
 
@@ -315,7 +332,8 @@ def plot_errors(
     alignment: ArrayLike | None = None,
     *,
     sigmas: float = 3.0,
-    tolerance: float | None = None,
+    tolerance: float = 0.1,
+    legend: bool = True,
 ) -> Artists:
     """Error of x, y and heading over time within the claimed ±3σ.
 
@@ -332,8 +350,10 @@ def plot_errors(
         Rigid motion [m, m, rad] from the filter's frame to the truth's, for estimate and covariance.
     sigmas : float
         Half width of the band in claimed standard deviations.
-    tolerance : float, optional
-        Largest time [s] between an estimate and its truth; by default half the median step of the history.
+    tolerance : float
+        Largest time [s] between an estimate and its truth, as in :func:`slamkit.metrics.evaluate`.
+    legend : bool
+        False where :func:`shared_legend` or the caller makes one.
 
     Returns
     -------
@@ -362,15 +382,14 @@ def plot_errors(
     }
     for ax, b in zip(axes, band.T, strict=True):
         ax.plot(elapsed, b, elapsed, -b, color=look.color, linewidth=0.6, zorder=1.5)
-    rows, matched = _match(history, truth, tolerance)
+    rows, matched = metrics.nearest(history.times, () if truth is None else truth.times, tolerance)
     if truth is not None and len(rows):
         error = se2.compose(frame, history.poses[rows]) - truth.poses[matched]
         error[:, 2] = se2.wrap(error[:, 2])
-        sparse = len(rows) < len(history.times) / 2
+        sparse = _sparse(truth.times, history.times)
         artists["error"] = [
             ax.plot(
-                elapsed[rows],
-                e,
+                *_broken(elapsed[rows], elapsed[rows], e),
                 color=STYLES["truth"].color,
                 linestyle="none" if sparse else "-",
                 marker="." if sparse else "none",
@@ -381,17 +400,24 @@ def plot_errors(
             )[0]
             for ax, e in zip(axes, (error * to_units).T, strict=True)
         ]
-    for ax, label in zip(axes, ("x error [m]", "y error [m]", "heading error [deg]"), strict=True):
+    for ax, label in zip(axes, ("x [m]", "y [m]", "heading [deg]"), strict=True):
         ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
         ax.set_ylabel(label)
         ax.margins(x=0)
     axes[-1].set_xlabel("time since start [s]")
-    _legend(axes[0])
+    if legend:
+        _legend(axes[0])
     return artists
 
 
 def plot_nis(
-    ax: Axes, history: History, *, window: int | None = None, probability: float = 0.95, log: bool | None = None
+    ax: Axes,
+    history: History,
+    *,
+    window: int | None = None,
+    probability: float = 0.95,
+    log: bool | None = None,
+    legend: bool = True,
 ) -> Artists:
     """Normalised innovation squared over time with its χ² bands.
 
@@ -408,6 +434,8 @@ def plot_nis(
         What a band holds.
     log : bool, optional
         Logarithmic axis; by default where a value lies above four times the single sighting's band.
+    legend : bool
+        False where :func:`shared_legend` or the caller makes one.
 
     Returns
     -------
@@ -426,9 +454,10 @@ def plot_nis(
         ax.text(0.5, 0.5, "no innovations", transform=ax.transAxes, ha="center", va="center", color="0.4")
         ax.set_yticks([])
         return artists
-    low, high = _chi2(np.array([(1 - p) / 2, (1 + p) / 2]), d)
+    one = chi2_bounds(d, 1, p)
+    low, high = float(one.lower), float(one.upper)
     artists["band"] = [
-        ax.axhspan(low, high, facecolor="0.5", alpha=0.13, linewidth=0, label=f"{p:.0%} of one", zorder=0.5)
+        ax.axhspan(low, high, facecolor="0.5", alpha=0.13, linewidth=0, label=f"{p:.0%} band, one sighting", zorder=0.5)
     ]
     artists["nis"] = [
         *ax.plot(
@@ -463,26 +492,38 @@ def plot_nis(
     if n < 1:
         raise InputError(f"window is {n} sightings, expected at least 1")
     if len(nis) >= n:
-        low_mean, high_mean = _chi2(np.array([(1 - p) / 2, (1 + p) / 2]), n * d) / n
+        mean = chi2_bounds(d, n, p)
         artists["mean_band"] = [
             ax.axhspan(
-                low_mean, high_mean, facecolor="0.35", alpha=0.3, linewidth=0, label=f"{p:.0%} of the mean", zorder=1
+                float(mean.lower),
+                float(mean.upper),
+                facecolor="0.35",
+                alpha=0.3,
+                linewidth=0,
+                label=f"{p:.0%} band, mean",
+                zorder=1,
             )
         ]
         artists["mean"] = [
             *ax.plot(
-                _running_mean(t, n), _running_mean(nis, n), color="black", linewidth=1.1, label=f"mean of {n}", zorder=2.5
+                _running_mean(t, n),
+                _running_mean(nis, n),
+                color="black",
+                linewidth=1.1,
+                label=f"mean of {n}",
+                zorder=2.5,
             )
         ]
     highest = float(history.nis[known].max())
     if highest > 4 * high if log is None else log:
-        ax.set_yscale("log")
+        _log_scale(ax)
         ax.set_ylim(low / 4, 2 * max(highest, high))
     else:
         ax.set_ylim(0, 1.05 * max(highest, high))
     if len(history.times):
         ax.set_xlim(0, max(float(elapsed.max()), float(history.times.max() - history.times.min()), 1e-9))
-    _legend(ax)
+    if legend:
+        _legend(ax)
     return artists
 
 
@@ -596,7 +637,7 @@ def plot_correlation(
         rasterized=True,
     )
     artists: Artists = {"image": [image], "lines": []}
-    edges = np.arange(3, D, 2)
+    edges = np.arange(3.0, D, 2.0)
     for k, edge in enumerate(edges):
         width = 1.0 if k == 0 else 0.35
         if k == 0 or N <= 30:
@@ -627,6 +668,7 @@ def plot_density(
     times: ArrayLike | None = None,
     *,
     thresholds: Sequence[float] = (0.1, 0.5, 0.9),
+    legend: bool = True,
 ) -> Artists:
     """How a covariance becomes dense: the share of correlations between blocks above each threshold.
 
@@ -639,6 +681,8 @@ def plot_density(
         Times [s] of the covariances; without them the horizontal axis counts landmarks.
     thresholds : sequence of float
         On the absolute correlation; one line each.
+    legend : bool
+        False where :func:`shared_legend` or the caller makes one.
 
     Returns
     -------
@@ -671,7 +715,8 @@ def plot_density(
     }
     ax.set(xlabel="landmarks in the map" if times is None else "time [s]", ylabel="share of correlations [%]")
     ax.set_ylim(-3, 103)
-    _legend(ax)
+    if legend:
+        _legend(ax)
     return artists
 
 
@@ -740,6 +785,7 @@ def plot_nees(
     probability: float = 0.95,
     label: str = "NEES",
     log: bool | None = None,
+    legend: bool = True,
 ) -> Artists:
     """Mean NEES over the runs of every filter over time, with its χ² band.
 
@@ -760,6 +806,8 @@ def plot_nees(
         Of the vertical axis.
     log : bool, optional
         Logarithmic axis; by default where a mean lies above five times the band.
+    legend : bool
+        False where :func:`shared_legend` or the caller makes one.
 
     Returns
     -------
@@ -769,11 +817,18 @@ def plot_nees(
     t, p = np.asarray(times, dtype=float), _probability(probability)
     values = {name: _runs(name, v, t) for name, v in nees.items()}
     M = max((len(v) for v in values.values()), default=1)
-    low, high = _chi2(np.array([(1 - p) / 2, (1 + p) / 2]), M * dof) / M
+    bounds = chi2_bounds(dof, M, p)
+    low, high = float(bounds.lower), float(bounds.upper)
     artists: Artists = {
         "band": [
             ax.axhspan(
-                low, high, facecolor="0.5", alpha=0.3, linewidth=0, zorder=0.5, label=f"{p:.0%} band, {_count(M, 'run')}"
+                low,
+                high,
+                facecolor="0.5",
+                alpha=0.3,
+                linewidth=0,
+                zorder=0.5,
+                label=f"{p:.0%} band, {_count(M, 'run')}",
             )
         ]
     }
@@ -782,12 +837,13 @@ def plot_nees(
     artists |= _lines(ax, t, means)
     highest = max((float(np.nanmax(m)) for m in means.values() if np.isfinite(m).any()), default=high)
     if highest > 5 * high if log is None else log:
-        ax.set_yscale("log")
+        _log_scale(ax)
     else:
         ax.set_ylim(0, 1.05 * max(highest, 1.5 * high))
     ax.set(xlabel="time [s]", ylabel=label)
     ax.margins(x=0)
-    _legend(ax)
+    if legend:
+        _legend(ax)
     return artists
 
 
@@ -800,6 +856,7 @@ def plot_claim(
     *,
     sigmas: float = 3.0,
     label: str = "heading error [deg]",
+    legend: bool = True,
 ) -> Artists:
     """What one filter claims against what it does: the errors of all runs, their spread and the claimed ±3σ.
 
@@ -815,6 +872,8 @@ def plot_claim(
     sigmas : float
     label : str
         Of the vertical axis.
+    legend : bool
+        False where :func:`shared_legend` or the caller makes one.
 
     Returns
     -------
@@ -832,17 +891,25 @@ def plot_claim(
     runs = ax.plot(t, e.T, color="0.45", linewidth=0.35, alpha=0.6, zorder=1.5, rasterized=True)
     if runs:
         runs[0].set_label(f"error of {_count(len(e), 'run')}")
-    spread = ax.plot(t, actual, color="black", linewidth=1.0, linestyle=(0, (4, 1.5)), zorder=2.4, label=f"±{sigmas:g} RMSE")
+    spread = ax.plot(
+        t, actual, color="black", linewidth=1.0, linestyle=(0, (4, 1.5)), zorder=2.4, label=f"±{sigmas:g} RMSE"
+    )
     spread += ax.plot(t, -actual, color="black", linewidth=1.0, linestyle=(0, (4, 1.5)), zorder=2.4)
     ax.text(0.02, 0.96, look.label, transform=ax.transAxes, va="top", fontweight="bold", color=look.color, zorder=3)
     ax.set(xlabel="time [s]", ylabel=label)
     ax.margins(x=0)
-    _legend(ax)
+    if legend:
+        _legend(ax)
     return {"errors": [*runs], "band": [band], "spread": [*spread]}
 
 
 def plot_gauge(
-    ax: Axes, times: ArrayLike, deviations: Mapping[str, ArrayLike], *, label: str = "gauge deviation [deg]"
+    ax: Axes,
+    times: ArrayLike,
+    deviations: Mapping[str, ArrayLike],
+    *,
+    label: str = "gauge deviation [deg]",
+    legend: bool = True,
 ) -> Artists:
     """Standard deviation that each filter claims along the unobservable rotation; it may never fall.
 
@@ -855,6 +922,8 @@ def plot_gauge(
         √[(NᵀP⁻¹N)⁻¹]_θθ in the unit that `label` names; the root mean square over the runs is drawn.
     label : str
         Of the vertical axis.
+    legend : bool
+        False where :func:`shared_legend` or the caller makes one.
 
     Returns
     -------
@@ -866,11 +935,12 @@ def plot_gauge(
     ax.set(xlabel="time [s]", ylabel=label)
     ax.set_ylim(0, 1.08 * ax.dataLim.y1 if np.isfinite(ax.dataLim.y1) and ax.dataLim.y1 > 0 else 1.0)
     ax.margins(x=0)
-    _legend(ax)
+    if legend:
+        _legend(ax)
     return artists
 
 
-def plot_coverage(ax: Axes, levels: ArrayLike, coverage: Mapping[str, ArrayLike]) -> Artists:
+def plot_coverage(ax: Axes, levels: ArrayLike, coverage: Mapping[str, ArrayLike], *, legend: bool = True) -> Artists:
     """Coverage curves: how often the truth lay in the region that each filter claimed to hold it.
 
     Parameters
@@ -880,6 +950,8 @@ def plot_coverage(ax: Axes, levels: ArrayLike, coverage: Mapping[str, ArrayLike]
         Claimed probabilities in [0, 1].
     coverage : mapping filter → array_like (n,)
         Share of the values inside, in [0, 1].
+    legend : bool
+        False where :func:`shared_legend` or the caller makes one.
 
     Returns
     -------
@@ -891,7 +963,8 @@ def plot_coverage(ax: Axes, levels: ArrayLike, coverage: Mapping[str, ArrayLike]
     lines = _lines(ax, 100 * x, {name: 100 * _runs(name, c, x)[0] for name, c in coverage.items()})
     ax.set(xlabel="claimed probability [%]", ylabel="truth inside [%]", xlim=(0, 100), ylim=(0, 100))
     ax.set_aspect("equal", adjustable="box")
-    _legend(ax)
+    if legend:
+        _legend(ax)
     return {"diagonal": [*diagonal], **lines}
 
 
@@ -940,16 +1013,25 @@ def plot_bars(
             error_kw={"elinewidth": 1.0, "capsize": 2.5, "ecolor": "0.15"},
         )
         end = value + max(error, 0.0)
-        text = [] if not np.isfinite(end) else [
-            ax.annotate(
-                f"{value:.3g}", (end, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize="small"
-            )
-        ]
+        text = (
+            []
+            if not np.isfinite(end)
+            else [
+                ax.annotate(
+                    f"{value:#.3g}".rstrip("."),
+                    (end, row),
+                    xytext=(4, 0),
+                    textcoords="offset points",
+                    va="center",
+                    fontsize="small",
+                )
+            ]
+        )
         ends.append(end)
         artists[name] = [*bar.patches, *text]
     ax.set_yticks(range(len(values)), [style(name).label for name in values])
     ax.set_ylim(len(values) - 0.4, -0.6)
-    ax.set_xlim(0, 1.18 * np.nanmax(ends) or 1.0)
+    ax.set_xlim(0, 1.25 * np.nanmax(ends) or 1.0)
     ax.tick_params(axis="y", length=0)
     ax.set_xlabel(label)
     return artists
@@ -962,6 +1044,7 @@ def plot_cost(
     errors: Mapping[str, float] | None = None,
     *,
     label: str = "position RMSE [m]",
+    legend: bool = True,
 ) -> Artists:
     """Accuracy against cost: one marker a filter, the best at the lower left.
 
@@ -976,6 +1059,8 @@ def plot_cost(
         Half lengths of the error bars.
     label : str
         Of the vertical axis.
+    legend : bool
+        False where :func:`shared_legend` or the caller makes one.
 
     Returns
     -------
@@ -1013,8 +1098,30 @@ def plot_cost(
     ax.margins(0.12)
     ax.grid(True, which="major", color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
-    _legend(ax)
+    if legend:
+        _legend(ax)
     return artists
+
+
+def shared_legend(figure: Figure, axes: Sequence[Axes] | NDArray[Any]) -> Artist:
+    """One legend for several axes, above them all; what occurs in more than one of them is named once.
+
+    Parameters
+    ----------
+    figure : Figure
+        With the constrained layout, which makes room for it.
+    axes : sequence of Axes
+        Drawn with ``legend=False``.
+
+    Returns
+    -------
+    Legend
+    """
+    named: dict[str, Any] = {}
+    for ax in np.ravel(np.asarray(axes, dtype=object)):
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            named.setdefault(label, handle)
+    return _fitted(figure, list(named.values()), list(named), loc="outside upper center")
 
 
 def _lines(ax: Axes, x: Array, values: Mapping[str, Array]) -> Artists:
@@ -1029,9 +1136,9 @@ def _lines(ax: Axes, x: Array, values: Mapping[str, Array]) -> Artists:
                 linestyle=style(name).linestyle,
                 marker=style(name).marker,
                 markevery=(int(every * k / len(values)), every),
-                markersize=4.5,
+                markersize=5.0,
                 markeredgecolor="black",
-                markeredgewidth=0.3,
+                markeredgewidth=0.25,
                 label=style(name).label,
                 zorder=2 + 0.01 * k,
             )
@@ -1063,12 +1170,19 @@ def _outlines(ax: Axes, outlines: Array, color: str, label: str, filled: bool) -
 def _legend(ax: Axes) -> None:
     """The one legend style: without a frame, above the axes, in as many columns as fit; it never covers data."""
     handles, labels = ax.get_legend_handles_labels()
-    for columns in range(len(handles), 0, -1):
-        legend = ax.legend(
+    if handles:
+        _fitted(ax, handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+
+
+def _fitted(parent: Axes | Figure, handles: list[Any], labels: list[str], **place: Any) -> Artist:
+    """A legend in as many columns as its parent's width holds."""
+    from matplotlib.legend import Legend
+    from matplotlib.lines import Line2D
+
+    def build(columns: int) -> Legend:
+        return parent.legend(
             handles,
             labels,
-            loc="lower left",
-            bbox_to_anchor=(0.0, 1.0),
             ncols=columns,
             frameon=False,
             borderpad=0.0,
@@ -1079,9 +1193,29 @@ def _legend(ax: Axes) -> None:
             columnspacing=1.3,
             labelspacing=0.25,
             numpoints=1,
+            **place,
         )
-        if legend.get_window_extent().width <= ax.get_window_extent().width:
-            return
+
+    legend = build(max(1, len(handles)))
+    for columns in range(len(handles) - 1, 0, -1):
+        if legend.get_window_extent().width <= parent.get_window_extent().width:
+            break
+        legend.remove()
+        legend = build(columns)
+    for handle in legend.legend_handles:
+        # Faint dots are meant for thousands of points: alone in the legend they would be invisible.
+        if isinstance(handle, Line2D) and handle.get_marker() == ".":
+            handle.set(alpha=1.0, markersize=6.0)
+    return legend
+
+
+def _log_scale(ax: Axes) -> None:
+    """A logarithmic vertical axis with plain numbers (0.1, 2, 30) instead of powers."""
+    from matplotlib.ticker import FuncFormatter, LogFormatter
+
+    ax.set_yscale("log")
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.6)))
 
 
 def _elapsed(times: Array, run: Array) -> Array:
@@ -1090,32 +1224,20 @@ def _elapsed(times: Array, run: Array) -> Array:
 
 
 def _sparse(times: Array, run: Array) -> bool:
-    """Whether the truth is too sparse to be joined by lines: gaps far longer than the filter's steps."""
-    if len(times) < 2 or len(run) < 2:
-        return len(times) > 0
-    return bool(np.median(np.diff(times)) > 20 * np.median(np.diff(run)))
+    """Whether a truth has too few poses for a run's steps to be joined by lines."""
+    return 20 * len(times) < len(run)
 
 
-def _match(history: History, truth: Truth | None, tolerance: float | None) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows of the history and of the truth that belong together by nearest time."""
-    if truth is None or not len(truth.times) or not len(history.times):
-        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
-    if tolerance is None:
-        steps = np.diff(np.unique(history.times))
-        tolerance = float(np.median(steps)) / 2 if len(steps) else 0.0
-    return metrics.nearest(history.times, truth.times, tolerance)
+def _broken(times: Array, *series: Array) -> list[Array]:
+    """The series with a NaN in every long gap of their times, so that no line bridges what nobody measured."""
+    gaps = np.diff(times)
+    cuts = np.flatnonzero(gaps > 20 * np.median(gaps)) + 1 if len(gaps) else np.zeros(0, dtype=np.intp)
+    return [np.insert(values, cuts, np.nan) for values in series]
 
 
 def _running_mean(values: Array, n: int) -> Array:
     """Means of n consecutive values (len - n + 1,)."""
-    return np.lib.stride_tricks.sliding_window_view(values, n).mean(-1)
-
-
-def _chi2(probability: Array, dof: int) -> Array:
-    """Quantiles of χ² with `dof` degrees of freedom."""
-    from scipy.special import gammaincinv
-
-    return np.asarray(2.0 * gammaincinv(dof / 2.0, probability))
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(values, n).mean(-1))
 
 
 def _probability(value: float) -> float:
@@ -1127,7 +1249,7 @@ def _probability(value: float) -> float:
 def _alignment(value: ArrayLike | None) -> Array:
     frame = np.zeros(3) if value is None else np.asarray(value, dtype=float)
     if frame.shape != (3,) or not np.all(np.isfinite(frame)):
-        raise InputError(f"alignment is {value}, expected a pose (3,): x [m], y [m], heading [rad]")
+        raise InputError(f"alignment is {value!r}, expected a pose (3,): x [m], y [m], heading [rad]")
     return frame
 
 

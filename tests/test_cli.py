@@ -22,7 +22,7 @@ from typer.testing import CliRunner, Result
 from slamkit import EKFSLAM, History, InputError, Log, Truth, cli, plots, summary
 from slamkit.datasets import mrclam
 from slamkit.filters import FILTERS
-from slamkit.models import EulerUnicycle, Odometry, RangeBearing, RelativePosition, Unicycle
+from slamkit.models import EulerUnicycle, Odometry, RangeBearing, RelativePosition, Unicycle, model_to_dict
 from slamkit.simulate import WORLDS, simulate
 
 KEYS = {
@@ -106,6 +106,12 @@ def lesson(tmp_path: Path) -> Path:
     return tmp_path / "lesson"
 
 
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that look at other files: drawing is most of what a short run costs."""
+    monkeypatch.setattr(summary, "write_figure", lambda *_: None)
+
+
 def outliers(folder: Path) -> None:
     """Make every seventh sighting of the log wrong by 3 m."""
     path = folder / "observations.csv"
@@ -186,6 +192,7 @@ def test_version() -> None:
 
 
 @pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.usefixtures("no_figures")
 def test_a_world_comes_back_from_its_files_to_the_bit(world: str, tmp_path: Path) -> None:
     made = WORLDS[world]()
     log = simulate(made, np.random.default_rng(3))
@@ -362,8 +369,11 @@ def test_first_steps_are_those_of_the_whole_log(seed: int, increments: bool) -> 
     log = random_log(seed, increments)
     steps = list(log)
     for m in range(1, len(steps) + 2):
-        part = list(cli._beginning(log, m))
+        beginning = cli._beginning(log, m)
+        part = list(beginning)
         assert len(part) == min(m, len(steps))
+        assert beginning.truth is not None
+        assert beginning.truth.times.tolist() == [t for t in range(30) if m >= len(steps) or t <= steps[m].time]
         for a, b in zip(part, steps, strict=False):
             assert (a.time, a.dt, a.scan.ids) == (b.time, b.dt, b.scan.ids)
             np.testing.assert_array_equal(a.scan.z, b.scan.z)
@@ -372,6 +382,7 @@ def test_first_steps_are_those_of_the_whole_log(seed: int, increments: bool) -> 
                 np.testing.assert_array_equal(a.u, b.u)
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_max_steps_is_the_beginning_of_the_run(loop: Path, tmp_path: Path) -> None:
     succeeds("run", "csv", loop, "--out", tmp_path / "all")
     whole = History.load(tmp_path / "all" / "history.npz")
@@ -413,16 +424,19 @@ def test_options_go_before_the_file_and_the_file_before_the_columns(
     assert (made[-1].order, made[-1].gate) == ("sequential", None)
     models("--order", "batch", "--gate", "5")
     assert (made[-1].order, made[-1].gate) == ("batch", 5.0)
-    np.testing.assert_array_equal(made[-1].R, RangeBearing(world.sensor.sigma_range, world.sensor.sigma_bearing).R)
     facts = strict_json(lesson / "models.json")
     (lesson / "models.json").write_text(json.dumps(facts | {"order": "batch", "gate": 7, "pose": [1, 2, 3]}))
+    models("--max-steps", 1)
+    assert (made[-1].order, made[-1].gate) == ("batch", 7)
     models("--max-steps", 1, "--gate", "inf")
     assert (made[-1].order, made[-1].gate) == ("batch", np.inf)
-    np.testing.assert_array_equal(made[-2].P[:3, :3], made[-1].P[:3, :3])
     assert abs(made[-1].pose[0] - 1) < 0.5
+    other = model_to_dict(EulerUnicycle(0.2, 0.4))
+    (lesson / "models.json").write_text(json.dumps({"motion": other}))
+    assert models() == (EulerUnicycle(0.2, 0.4), RangeBearing(0.1, 0.035))
+    assert models("--motion-noise", "0.3,0")[0] == EulerUnicycle(0.3, 0.0)
     (lesson / "models.json").unlink()
     assert models() == (Unicycle(0.1, 0.1), RangeBearing(0.1, 0.035))
-    assert made[-1].pose_covariance.shape == (3, 3)
 
 
 @pytest.mark.parametrize(
@@ -468,9 +482,9 @@ def test_columns_tell_the_models(
         (("run", "csv", "{lesson}", "--sensor", "relative", "--sensor-noise", "1,2"), ("relative takes 1",)),
         (("run", "csv", "{lesson}", "--gate", "-1"), ("gate", "-1")),
         (("run", "csv", "{lesson}", "--gate", "nan"), ("gate", "nan")),
-        (("run", "csv", "{lesson}", "--gate", "wide"), ("--gate", "wide")),
+        (("run", "csv", "{lesson}", "--gate", "wide"), ("--gate", "number")),
         (("run", "csv", "{lesson}", "--order", "random"), ("order", "random", "batch")),
-        (("run", "csv", "{lesson}", "--max-steps", "0"), ("--max-steps", "0")),
+        (("run", "csv", "{lesson}", "--max-steps", "0"), ("--max-steps", "1")),
         (("run", "csv", "{lesson}", "--json", "{lesson}"), ("lesson", "folder")),
         (("run", "csv", "{lesson}", "--json", "{file}/run.json"), ("file",)),
         (("run", "csv", "{lesson}", "--plot", "{file}/run.png"), ("file",)),
@@ -486,11 +500,11 @@ def test_columns_tell_the_models(
         (("simulate", "loop"), ("--out",)),
         (("simulate", "lesson", "--out", "{file}"), ("file",)),
         (("simulate", "lesson", "--out", "{file}/log"), ("file",)),
-        (("simulate", "lesson", "--seed", "-1", "--out", "{lesson}/new"), ("--seed", "-1")),
+        (("simulate", "lesson", "--seed", "-1", "--out", "{lesson}/new"), ("--seed", "0")),
         (("demo", "--out", "{file}"), ("file",)),
         (("fetch", "mrclam", "10"), ("10", "1 to 9")),
         (("fetch", "venus", "1"), ("venus", "mrclam")),
-        (("fetch", "mrclam", "one"), ("one",)),
+        (("fetch", "mrclam", "one"), ("N", "integer")),
         (("fetch", "mrclam", "1", "--base-url", "nonsense"), ("nonsense", "http")),
     ],
 )  # fmt: skip
@@ -582,6 +596,7 @@ def test_a_run_that_fails_at_once_leaves_nothing_but_files_that_say_so(lesson: P
     assert "steps" not in fails("run", "csv", lesson)
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("with_out", [True, False])
 def test_ctrl_c_keeps_what_was_done(
     with_out: bool, lesson: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -622,12 +637,8 @@ def test_a_file_is_replaced_by_a_whole_one_or_not_at_all(
     after = contents(out)
     assert after.keys() == before.keys()
     assert after["overview.png"] == before["overview.png"]
-
-    def unserialisable(*_: Any, **__: Any) -> Any:
-        raise OSError(5, "Input/output error", "summary.json")
-
-    monkeypatch.setattr(summary.json, "dumps", unserialisable)
-    assert "Input/output error" in fails("run", "csv", lesson, "--out", out)
+    with pytest.raises(ValueError, match="JSON compliant"):
+        summary.write_json(out / "map.csv", {"a": 1.0, "b": np.nan})
     assert contents(out) == after
 
 
@@ -636,7 +647,7 @@ def test_a_file_is_replaced_by_a_whole_one_or_not_at_all(
 
 @pytest.fixture(scope="module")
 def small_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """MRCLAM7.zip, named as it is published: a robot that drives an arc among three landmarks, told by the laws of the arc."""
+    """MRCLAM7.zip, named as it is published: a robot on an arc among three landmarks, by the arc's equations."""
     rng = np.random.default_rng(7)
     start, v, omega, seconds = 1248272272.0, 0.2, 0.2, 30.0
     landmarks = {6: (2.0, 0.5), 7: (0.0, 2.0), 8: (-1.5, 0.0)}

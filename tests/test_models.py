@@ -552,6 +552,13 @@ def test_numeric_jacobian_at_any_size(x: float) -> None:
     assert numeric_jacobian(np.log, [x], step=x / 10)[0, 0] == pytest.approx(1 / x, rel=1e-9)
 
 
+@pytest.mark.parametrize("step", [None, 1.0])
+def test_numeric_jacobian_is_extrapolated_not_merely_central(step: float | None) -> None:
+    for x in (-1.0, 0.3, 2.0):
+        for f, slope in ((np.exp, np.exp(x)), (np.sin, np.cos(x)), (np.arctan, 1 / (1 + x * x))):
+            assert numeric_jacobian(f, [x], step=step)[0, 0] == pytest.approx(slope, rel=2e-12)
+
+
 def test_numeric_jacobian_subtracts_angles_as_it_is_told() -> None:
     def heading(v: Array) -> Array:
         return np.array([se2.wrap(2 * v[0])])
@@ -964,6 +971,14 @@ class OnlyF(Differential):
 class Raises(Differential):
     def pose_noise(self, pose: Array, u: Array, dt: float) -> Array:
         raise RuntimeError("no noise here")
+
+
+@breaks("move raises no error")
+class Limited(Differential):
+    def move(self, pose: Array, u: Array, dt: float) -> Array:
+        if u.max() > 1.0:
+            raise ValueError("too fast")
+        return super().move(pose, u, dt)
 
 
 @breaks("move leaves its arguments alone", alone=False)

@@ -135,6 +135,20 @@ def test_exp_undoes_log(a: Array) -> None:
     assert -PI <= se2.log(a)[2] < PI
 
 
+@given(poses, st.integers(-3, 3))
+def test_whole_turns_of_the_heading_change_nothing(a: Array, turns: int) -> None:
+    turned = np.add(a, [0, 0, 2 * PI * turns])
+    inverse, log = se2.inverse(turned), se2.log(turned)
+    same_pose(inverse, se2.inverse(a))
+    same_pose(se2.exp(log), a)
+    assert -PI <= inverse[2] < PI
+    assert -PI <= log[2] < PI
+
+
+def test_the_inverse_of_half_a_turn_is_half_a_turn() -> None:
+    np.testing.assert_array_equal(se2.inverse([0, 0, -PI]), [0, 0, -PI])
+
+
 @given(twists)
 def test_log_undoes_exp(xi: Array) -> None:
     np.testing.assert_allclose(se2.log(se2.exp(xi)), xi, atol=1e-11, rtol=1e-12)

@@ -195,8 +195,9 @@ def _digest() -> str:
     import numba
 
     package = Path(__file__).resolve().parent.parent
-    sources = [*package.glob("compiled/*.py"), *package.glob("filters/*.py"), *package.glob("models/*.py")]
     digest = hashlib.sha256(f"{numba.__version__} {sys.version} {platform.machine()}".encode())
-    for path in sorted([*sources, package / "kernels.py"]):
-        digest.update(path.name.encode() + path.read_bytes())
+    for path in sorted([*package.glob("*.py"), *package.glob("*/*.py")]):
+        source = path.read_bytes()
+        if b"@compiled(" in source or path.parent.name == "compiled":
+            digest.update(path.name.encode() + source)
     return digest.hexdigest()[:16]

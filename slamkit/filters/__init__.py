@@ -4,9 +4,12 @@ from typing import Any
 
 from slamkit.filters.ekf import EKFSLAM
 from slamkit.filters.first_estimates import FirstEstimatesEKFSLAM
+from slamkit.filters.ideal import IdealEKFSLAM
 from slamkit.filters.invariant import InvariantEKFSLAM
 from slamkit.filters.iterated import IteratedEKFSLAM
 from slamkit.filters.observability import ObservabilityConstrainedEKFSLAM
+from slamkit.filters.observability_ukf import ObservabilityConstrainedUKFSLAM
+from slamkit.filters.ukf import UKFSLAM, FullUKFSLAM
 
 #: Command-line name → estimator.
 FILTERS: dict[str, Any] = {
@@ -17,14 +20,22 @@ FILTERS: dict[str, Any] = {
         ObservabilityConstrainedEKFSLAM,
         InvariantEKFSLAM,
         IteratedEKFSLAM,
+        IdealEKFSLAM,
+        UKFSLAM,
+        FullUKFSLAM,
+        ObservabilityConstrainedUKFSLAM,
     )
 }
 
 __all__ = [
     "EKFSLAM",
     "FILTERS",
+    "UKFSLAM",
     "FirstEstimatesEKFSLAM",
+    "FullUKFSLAM",
+    "IdealEKFSLAM",
     "InvariantEKFSLAM",
     "IteratedEKFSLAM",
     "ObservabilityConstrainedEKFSLAM",
+    "ObservabilityConstrainedUKFSLAM",
 ]

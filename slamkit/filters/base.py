@@ -18,7 +18,7 @@ from slamkit.belief import BASE, BLOCK, Belief
 from slamkit.compiled import Compiled, Models, Policy, call
 from slamkit.errors import DivergenceError, InputError, LogFileError, ModelError, SlamkitError, UnsupportedError
 from slamkit.filters import standard, steps
-from slamkit.logs import History, Log, Scan, decode_id, encode_id, read_archive, reading, write_archive
+from slamkit.logs import History, Log, Scan, Schedule, decode_id, encode_id, read_archive, reading, write_archive
 from slamkit.models.files import model_from_dict, model_to_dict
 from slamkit.protocols import MotionFunctions, MotionModel, SensorFunctions, SensorModel
 from slamkit.se2 import wrap
@@ -48,6 +48,7 @@ class LandmarkFilter:
     name: ClassVar[str]  #: the estimator's name on the command line and in figures
     functions: ClassVar[PolicyFunctions] = PolicyFunctions()
     iterations: ClassVar[int] = 1
+    feet: ClassVar[str] = "mean"  #: array of the state at which the Jacobians take their lever arms
 
     def __init__(
         self,
@@ -189,6 +190,7 @@ class LandmarkFilter:
         z = np.ascontiguousarray(log.observations) if M else np.empty((0, self.dim_z))
         poses, covariances = np.empty((K, 3)), np.empty((K, 3, 3))
         innovations, nis, accepted = np.empty((M, self.dim_z)), np.empty(M), np.empty(M, dtype=np.bool_)
+        true_poses, true_landmarks = self._truth_for(log, schedule)
         widest = int(np.diff(schedule.first).max(initial=1))
         done, stretch, started = 0, 1 if not self._models.compiled else 256, time.perf_counter()
         report = _reporter(progress, K)
@@ -202,8 +204,8 @@ class LandmarkFilter:
                 slot_of[list(seen)] = [self._belief.slots.get(i, -1) for i in seen.values()]
                 self._belief.reserve(sum(i not in self._belief.slots for i in seen.values()), widest)
                 arguments = (
-                    controls, schedule.dt, schedule.control, schedule.first, log.observation_ids, slot_of, z, done, stop,
-                    poses, covariances, innovations, nis, accepted,
+                    controls, schedule.dt, schedule.control, schedule.first, log.observation_ids, slot_of, z,
+                    true_poses, true_landmarks, done, stop, poses, covariances, innovations, nis, accepted,
                 )  # fmt: skip
                 reached = self._guarded(steps.run, *arguments)
                 for i in sorted((i for i in seen if slot_of[i] >= 0), key=lambda i: int(slot_of[i])):
@@ -364,6 +366,10 @@ class LandmarkFilter:
 
     def _settle(self) -> None:
         """Bring the covariance to standard coordinates at the current mean."""
+
+    def _feet(self) -> Array:
+        """Points (D,) at which the Jacobians take their lever arms; the entry of the heading means nothing."""
+        return np.array(getattr(self._belief.state, self.feet)[: self._belief.dim])
 
     def _place(self, x: Array) -> None:
         """Take x for the mean; P, in standard coordinates, stays."""
@@ -683,7 +689,15 @@ class LandmarkFilter:
             new._belief.slots = {i: BASE + BLOCK * n for n, i in enumerate(ids)}
             if BASE + BLOCK * len(ids) != D:
                 raise ValueError(f"{len(ids)} landmark ids and a state of {D}")
+            new._resume(facts)
         return new
+
+    def _truth_for(self, log: Log, schedule: Schedule) -> tuple[Array, Array]:
+        """True poses (K, 3) at the ends of the steps and true landmarks (L, 2), for a filter that is told them."""
+        return np.empty((0, 3)), np.empty((0, 2))
+
+    def _resume(self, facts: dict[str, Any]) -> None:
+        """Take up what `_facts` wrote, after everything else is in place."""
 
     def _facts(self) -> dict[str, Any]:
         """What a variant adds to the file."""

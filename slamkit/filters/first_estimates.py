@@ -74,3 +74,4 @@ class FirstEstimatesEKFSLAM(EKFSLAM):
 
     name = "fej"
     functions = PolicyFunctions(motion=motion, sensor=sensor, start=start, scan=scan)
+    feet = "points"

@@ -93,6 +93,7 @@ class InvariantEKFSLAM(EKFSLAM):
         retract=retract,
         report=report,
     )
+    feet = "points"
 
     def _settle(self) -> None:
         shear(self._belief.state)

@@ -84,3 +84,4 @@ class ObservabilityConstrainedEKFSLAM(EKFSLAM):
 
     name = "oc"
     functions = PolicyFunctions(motion=motion, sensor=first_estimates.sensor, start=first_estimates.start, scan=scan)
+    feet = "points"

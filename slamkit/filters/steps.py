@@ -250,24 +250,29 @@ def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z:
 
 
 @compiled(
-    "index(policy, models, state, matrix, vector, integers, integers, integers, integers, matrix, index, index, "
-    "matrix, cube, matrix, vector, flags)",
+    "index(policy, models, state, matrix, vector, integers, integers, integers, integers, matrix, matrix, matrix, "
+    "index, index, matrix, cube, matrix, vector, flags)",
     generic=True,
 )
 def run(
-    policy: Any, models: Any, state: Any,
-    controls: Any, dt: Any, control: Any, first: Any, which: Any, slot_of: Any, z: Any, begin_at: int, end_at: int,
+    policy: Any, models: Any, state: Any, controls: Any, dt: Any, control: Any, first: Any, which: Any, slot_of: Any,
+    z: Any, true_poses: Any, true_landmarks: Any, begin_at: int, end_at: int,
     poses: Any, covariances: Any, innovations: Any, nis: Any, accepted: Any,
 ) -> int:  # fmt: skip
     """Steps begin_at … end_at-1 of a schedule, recorded; the step that failed, or end_at. The status is in size[4].
 
-    ``which[j]`` is the log's landmark in observation j, ``slot_of`` maps it to its slot (-1: not in the map yet).
+    ``which[j]`` is the log's landmark in observation j, ``slot_of`` maps it to its slot (-1: not in the map yet);
+    the true poses and landmarks are empty unless the filter is told them.
     """
     slots = np.empty(state.nis.shape[0], np.int64)
     for i in range(begin_at, end_at):
         lo, n = first[i], first[i + 1] - first[i]
         for j in range(n):
             slots[j] = slot_of[which[lo + j]]
+            if true_landmarks.shape[0] > 0:
+                state.truth[j] = true_landmarks[which[lo + j]]
+        if true_poses.shape[0] > 0:
+            state.memory[:3] = true_poses[i]
         status = step(policy, models, state, controls[max(control[i], 0)], dt[i], slots[:n], z[lo : lo + n])
         for j in range(n):
             slot_of[which[lo + j]] = slots[j]

@@ -1,0 +1,276 @@
+"""Every filter over every robot of the MRCLAM sets 1, 2, 3 and 6, with the library's defaults and nothing tuned.
+
+    python benchmarks/mrclam.py [--filters ekf,fej] [--sets 1,6] [--data DIR] [--jobs J] [--out DIR]
+
+Two heading NEES are given (1 degree of freedom: a consistent filter's median is 0.455). One is in the frame that the
+filter claims to know, that of its start, where the truth reaches back to it. The other is under the alignment of the
+whole trajectory, as every other error; the fit takes out what a filter has wrongly learnt about its frame.
+
+Writes mrclam.json and mrclam.md. The data is not part of the project: `slamkit fetch mrclam 1` downloads a set.
+"""
+
+from __future__ import annotations
+
+import os
+
+# One thread for each process: the libraries under NumPy and SciPy read these once, when they are loaded.
+os.environ.update(
+    dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1")
+)
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from _machine import machine, sentence
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from slamkit import Log, SlamkitError
+from slamkit.consistency import heading_nees
+from slamkit.datasets import mrclam
+from slamkit.filters import FILTERS
+from slamkit.logs import History
+from slamkit.metrics import dead_reckoning, evaluate, nearest
+from slamkit.summary import Assessment, write_json
+
+Array = NDArray[np.float64]
+
+NEED_TRUTH = {"ideal"}  # filters that linearise at the truth, which no real robot has
+MAX_GAP = 0.1  # [s] between a pose and its truth
+FINEST = 1e-3  # [rad]; the true headings are no better, so where less is claimed NEES would judge the truth
+COLUMNS = {  # of a run: name in the JSON → heading of the tables, digits after the point
+    "ate_m": ("ATE [m]", 3),
+    "dead_reckoning_ate_m": ("dead reck. [m]", 2),
+    "landmark_rmse_m": ("land- marks [m]", 3),
+    "heading_rmse_deg": ("head- ing [°]", 2),
+    "heading_nees_start": ("NEES, start", 2),
+    "heading_nees_aligned": ("NEES, aligned", 2),
+    "rejected": ("re- jected", 0),
+    "microseconds_a_step": ("step [µs]", 2),
+}
+
+
+def data_folder() -> Path:
+    """Where the sets are looked for: mrclam/ in the folder that SLAMKIT_DATA names, or in that of shared data."""
+    named = os.environ.get("SLAMKIT_DATA")
+    return (Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "data") / "mrclam"
+
+
+def find(folder: Path, sets: Sequence[int]) -> dict[int, Path]:
+    """The zip or the folder of each set that is there."""
+    entries = sorted(folder.iterdir()) if folder.is_dir() else []
+    numbers = {entry: re.search(r"MR[A-Z]?LAM\D*([1-9])(?!\d)", entry.name, re.IGNORECASE) for entry in entries}
+    there = {int(match[1]): entry for entry, match in numbers.items() if match}
+    return {number: there[number] for number in sets if number in there}
+
+
+def runs(number: int, path: Path, robot: int, filters: Sequence[str]) -> list[dict[str, Any]]:
+    """Every filter over one robot's log; a filter that fails is recorded with its reason."""
+    data = mrclam.read(path, robot)
+    motion, sensor = mrclam.models()
+    reckoning = dead_reckoning(data.log, motion)
+    baseline = evaluate(*reckoning, data.log.truth, max_gap=MAX_GAP)
+    results = []
+    for name in filters:
+        result: dict[str, Any] = {"set": number, "robot": robot, "truth": data.truth_kind, "filter": name}
+        try:
+            FILTERS[name](motion, sensor, gate=mrclam.GATE).run(beginning(data.log))  # loads its compiled code
+            history = FILTERS[name](motion, sensor, gate=mrclam.GATE).run(data.log)
+        except SlamkitError as error:
+            results.append({**result, "error": str(error)})
+            continue
+        found = dict(zip(history.landmark_ids, history.landmarks, strict=True))
+        evaluation = evaluate(history.times, history.poses, data.log.truth, found, max_gap=MAX_GAP)
+        summary = Assessment(history, evaluation, reckoning, baseline).summary
+        results.append(
+            {
+                **result,
+                "error": None,
+                **{key: value for key, value in summary.items() if key != "filter"},
+                "heading_nees_start": in_frame_of_start(history, data.log) if data.truth_kind == "full" else None,
+                "heading_nees_aligned": median_nees(history, data.log, evaluation.poses),
+                "microseconds_a_step": 1e6 * history.seconds / len(history.times),
+            }
+        )
+    return results
+
+
+def beginning(log: Log) -> Log:
+    """A log of one command and one sighting."""
+    return Log(
+        control_times=np.array([0.0]),
+        controls=log.controls[:1],
+        observation_times=np.array([0.1]),
+        observation_ids=log.observation_ids[:1],
+        observations=log.observations[:1],
+        landmark_ids=log.landmark_ids,
+    )
+
+
+def in_frame_of_start(history: History, log: Log) -> float | None:
+    """Median heading NEES of the motion since the first true pose; every filter starts with P₀ = 0."""
+    assert log.truth is not None
+    rows, truth_rows = nearest(history.times, log.truth.times, MAX_GAP)
+    if len(rows) == 0:
+        return None
+    first, true_first = history.poses[rows[0]], log.truth.poses[truth_rows[0]]
+    return median_nees(history, log, history.poses + np.array([0.0, 0.0, true_first[2] - first[2]]))
+
+
+def median_nees(history: History, log: Log, poses: Array) -> float | None:
+    """Median of the heading NEES over the matched steps at which the filter claims no more than the truth knows."""
+    assert log.truth is not None
+    rows, truth_rows = nearest(history.times, log.truth.times, MAX_GAP)
+    kept = history.pose_covariances[rows, 2, 2] > FINEST**2
+    rows, truth_rows = rows[kept], truth_rows[kept]
+    if len(rows) == 0:
+        return None
+    nees = heading_nees(poses[rows], history.pose_covariances[rows], log.truth.poses[truth_rows])
+    return float(np.median(nees.values))
+
+
+# -- reporting --------------------------------------------------------------------------------------------------------
+
+
+def text(value: float | None, digits: int) -> str:
+    """A number of a table."""
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def over_robots(key: str, values: Sequence[float | None], digits: int) -> str:
+    """Mean over the robots; of NEES the median and the worst, for one robot can carry a mean; the sum of rejections."""
+    numbers = [value for value in values if value is not None]
+    if not numbers:
+        return "–"
+    if key.startswith("heading_nees"):
+        return f"{np.median(numbers):.{digits}f} ({max(numbers):.3g})"
+    return text(float(np.sum(numbers) if key == "rejected" else np.mean(numbers)), digits)
+
+
+def family_rows(results: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """One row a set and filter."""
+    rows = []
+    for number in dict.fromkeys(result["set"] for result in results):
+        for name in dict.fromkeys(result["filter"] for result in results):
+            of = [r for r in results if (r["set"], r["filter"]) == (number, name)]
+            done = [r for r in of if r["error"] is None]
+            cells = [over_robots(key, [r[key] for r in done], digits) for key, (_, digits) in COLUMNS.items()]
+            rows.append((str(number), name, f"{len(done)}/{len(of)}", *cells))
+    return rows
+
+
+def robot_rows(results: Sequence[dict[str, Any]], name: str) -> list[tuple[str, ...]]:
+    """One row a robot, for one filter."""
+    return [
+        (
+            str(r["set"]),
+            str(r["robot"]),
+            *(
+                ["failed"] * len(COLUMNS)
+                if r["error"]
+                else [text(r[key], digits) for key, (_, digits) in COLUMNS.items()]
+            ),
+        )
+        for r in results
+        if r["filter"] == name
+    ]
+
+
+HEADINGS = tuple(heading.replace("- ", "") for heading, _ in COLUMNS.values())
+
+
+def markdown(facts: dict[str, Any], results: Sequence[dict[str, Any]], jobs: int) -> str:
+    """Both tables for the README, and every failure in words."""
+
+    def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> list[str]:
+        align = [":--" if column < left else "--:" for column in range(len(header))]
+        return [f"| {' | '.join(row)} |" for row in (header, align, *rows)]
+
+    motion, sensor = mrclam.models()
+    lines = table(("set", "filter", "ran", *HEADINGS), family_rows(results), 3)
+    lines += ["", "Over the robots of a set: means; of the heading NEES the median and, in parentheses, the worst.", ""]
+    for name in dict.fromkeys(result["filter"] for result in results):
+        lines += [f"### {name}, robot by robot", ""]
+        lines += [*table(("set", "robot", *HEADINGS), robot_rows(results, name), 2), ""]
+    lines += [
+        f"- FAILED: set {r['set']}, robot {r['robot']}, {r['filter']}: {r['error']}" for r in results if r["error"]
+    ]
+    lines += [
+        "One set of parameters for every robot, set and filter: "
+        f"`{motion!r}`, `{sensor!r}`, gate {mrclam.GATE:g}. ATE, landmarks and heading under the alignment of the "
+        "trajectory; dead reckoning under one of its own. NEES is that of the heading, the median over the steps "
+        "(consistent: 0.455), in the frame of the start where the truth reaches back to it, and under the alignment. "
+        "Time with "
+        f"{jobs} {'process' if jobs == 1 else 'processes'} at once. {sentence(facts)}.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def numbers(option: str) -> list[int]:
+    """The set numbers of an option."""
+    try:
+        return [int(part) for part in option.split(",")]
+    except ValueError:
+        raise typer.BadParameter(f"{option!r}, expected numbers of sets between commas") from None
+
+
+def main(
+    filters: Annotated[
+        str, typer.Option(metavar="A,B,…", help=f"Of {', '.join(FILTERS)}; by default all that need no truth.")
+    ] = "",
+    sets: Annotated[str, typer.Option(metavar="N,M,…", help="Numbers of the sets.")] = "1,2,3,6",
+    data: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder with the sets' zips or folders.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write.")] = Path(__file__).parent / "results",
+) -> None:
+    """Run the filters over every robot of the MRCLAM sets and compare them with the truth."""
+    console = Console(highlight=False)
+    names = filters.split(",") if filters else [name for name in FILTERS if name not in NEED_TRUTH]
+    for name in names:
+        if name not in FILTERS or name in NEED_TRUTH:
+            raise typer.BadParameter(
+                f"filter {name!r}, expected of {', '.join(n for n in FILTERS if n not in NEED_TRUTH)}"
+            )
+    folder = data_folder() if data is None else data
+    wanted = numbers(sets)
+    paths = find(folder, wanted)
+    missing = [str(number) for number in wanted if number not in paths]
+    if missing:
+        where = f"in {folder} (SLAMKIT_DATA or --data names another folder)"
+        console.print(f"skipped: there is no MRCLAM set {', '.join(missing)} {where}", soft_wrap=True)
+    if not paths:
+        return
+    facts = machine()
+    console.print(sentence(facts), soft_wrap=True)
+    tasks = [(number, path, robot) for number, path in paths.items() for robot in mrclam.robots(path)]
+    parallel = Parallel(n_jobs=jobs, return_as="generator")
+    finished = parallel(delayed(runs)(number, path, robot, names) for number, path, robot in tasks)
+    finished = track(finished, "robots", total=len(tasks), console=console, transient=True)
+    results = [result for of_robot in finished for result in of_robot]
+    table = Table(title="MRCLAM, over the robots of each set", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for column in ("set", "filter", "ran", *(heading for heading, _ in COLUMNS.values())):
+        table.add_column(column, justify="left" if column == "filter" else "right")
+    for k, row in enumerate(family_rows(results), 1):
+        table.add_row(*row, end_section=k % len(names) == 0)
+    console.print(table)
+    for result in results:
+        if result["error"]:
+            console.print(
+                f"FAILED: set {result['set']}, robot {result['robot']}, {result['filter']}: {result['error']}"
+            )
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "mrclam.json", {"machine": facts, "jobs": jobs, "missing_sets": missing, "runs": results})
+    (out / "mrclam.md").write_text(markdown(facts, results, jobs), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)
