@@ -20,6 +20,7 @@ os.environ.update(
 
 import re
 from collections.abc import Sequence
+from itertools import compress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -151,7 +152,8 @@ def over_robots(key: str, values: Sequence[float | None], digits: int) -> str:
     if not numbers:
         return "–"
     if key.startswith("heading_nees"):
-        return f"{np.median(numbers):.{digits}f} ({max(numbers):.3g})"
+        worst = max(numbers)
+        return f"{np.median(numbers):.{digits}f} ({worst:.{0 if worst >= 10 else 1}f})"
     return text(float(np.sum(numbers) if key == "rejected" else np.mean(numbers)), digits)
 
 
@@ -257,10 +259,11 @@ def main(
     finished = track(finished, "robots", total=len(tasks), console=console, transient=True)
     results = [result for of_robot in finished for result in of_robot]
     table = Table(title="MRCLAM, over the robots of each set", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for column in ("set", "filter", "ran", *(heading for heading, _ in COLUMNS.values())):
+    shown = [key not in ("ran", "dead_reckoning_ate_m") for key in ("set", "filter", "ran", *COLUMNS)]  # 80 columns
+    for column in compress(("set", "filter", "ran", *(heading for heading, _ in COLUMNS.values())), shown):
         table.add_column(column, justify="left" if column == "filter" else "right")
     for k, row in enumerate(family_rows(results), 1):
-        table.add_row(*row, end_section=k % len(names) == 0)
+        table.add_row(*compress(row, shown), end_section=k % len(names) == 0)
     console.print(table)
     for result in results:
         if result["error"]:

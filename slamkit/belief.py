@@ -19,7 +19,7 @@ from slamkit.errors import DivergenceError, InputError
 
 Array = NDArray[np.float64]
 
-BASE, BLOCK = 3, 2  #: dimensions of the base vector and of one block
+BASE, BLOCK = 3, 2  #: dimensions of the base that a transition moves, and of one block
 
 
 class Belief:
@@ -27,9 +27,9 @@ class Belief:
 
     Parameters
     ----------
-    mean : array_like (3,)
-        Mean of the base vector.
-    covariance : array_like (3, 3)
+    mean : array_like (b,)
+        Mean of the base vector, b ≥ 3; a transition moves its first three entries.
+    covariance : array_like (b, b)
         Its covariance, symmetric positive semidefinite.
     rows : int
         Rows k of one block's observation, which the workspace is laid out for.
@@ -38,6 +38,8 @@ class Belief:
 
     Attributes
     ----------
+    base : int
+        Length b of the base vector.
     slots : dict
         Id → index of the block's first entry in the mean.
     state : State
@@ -51,12 +53,11 @@ class Belief:
     def __init__(self, mean: ArrayLike, covariance: ArrayLike, rows: int = 2, control_dim: int = 2) -> None:
         self.slots: dict[Hashable, int] = {}
         self._k, self._m = rows, control_dim
-        kept = {"mean": np.zeros(BASE), "points": np.zeros(BASE), "cov": np.zeros((BASE, BASE))}
-        kept |= {"memory": np.zeros(6), "size": np.array([BASE, 0, 0, 0, 0], dtype=np.int64)}
-        self._lay_out(kept, capacity=BASE + 8 * BLOCK, sightings=8)
-        self.state.mean[:BASE] = np.asarray(mean, dtype=float)
-        self.state.points[:BASE] = self.state.mean[:BASE]
-        self.state.cov[:BASE, :BASE] = np.tril(np.asarray(covariance, dtype=float))
+        start = np.asarray(mean, dtype=float)
+        self.base = b = len(start)
+        kept = {"mean": start, "points": start, "cov": np.tril(np.asarray(covariance, dtype=float))}
+        kept |= {"memory": np.zeros(6), "size": np.array([b, 0, 0, 0, 0], dtype=np.int64)}
+        self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8)
 
     def _lay_out(self, kept: dict[str, Any], capacity: int, sightings: int) -> None:
         """Arrays of the given capacity that hold what is kept."""
@@ -110,7 +111,7 @@ class Belief:
 
     @property
     def dim(self) -> int:
-        """D = 3 + 2N."""
+        """D = b + 2N."""
         return int(self.state.size[0])
 
     @property
@@ -147,7 +148,7 @@ class Belief:
             return
         self._m = m
         while capacity < need:
-            capacity = BASE + 2 * (capacity - BASE)
+            capacity = self.base + 2 * (capacity - self.base)
         self._lay_out(self.state.fields, capacity, max(sightings, len(self.state.nis)))
 
     def register(self, block_id: Hashable, slot: int) -> None:
@@ -155,7 +156,7 @@ class Belief:
         self.slots[block_id] = slot
 
     def propagate(self, base: ArrayLike, F: ArrayLike, Q: ArrayLike) -> None:
-        """base ← `base`, P ← F P Fᵀ + Q with F, Q (3, 3) on the base's rows; O(D)."""
+        """First three of the base ← `base` (3,), P ← F P Fᵀ + Q with F, Q (3, 3) on their rows; O(D)."""
         s = self.state
         s.F[:], s.Q[:] = np.asarray(F, dtype=float), np.asarray(Q, dtype=float)
         s.mean[:BASE] = np.asarray(base, dtype=float)
@@ -195,7 +196,7 @@ class Belief:
         self.state.mean[:D] += self.state.dx[:D]
 
     def augment(self, block_id: Hashable, mean: ArrayLike, G: ArrayLike, noise: ArrayLike) -> None:
-        """Append a block: P_ls = G P_xs, P_ll = G P_xx Gᵀ + noise, with G (2, 3) on the base and noise (2, 2)."""
+        """Append a block: P_ls = G P_xs, P_ll = G P_xx Gᵀ + noise, with G (2, 3) on the base's first three, noise (2, 2)."""
         if block_id in self.slots:
             raise InputError(f"block {block_id!r} exists already")
         self.reserve(1)
@@ -232,7 +233,7 @@ class Belief:
 
     def indices(self, ids: Iterable[Hashable], base: bool) -> NDArray[np.int64]:
         """Indices into the mean: the base first where it is asked for, then each block in the order given."""
-        parts = list(range(BASE)) if base else []
+        parts = list(range(self.base)) if base else []
         for i in ids:
             if i not in self.slots:
                 raise InputError(f"there is no landmark {i!r} in the map of {len(self.slots)}")

@@ -1163,7 +1163,6 @@ def _outlines(ax: Axes, outlines: Array, color: str, label: str, filled: bool) -
         zorder=2.3 if filled else 2.7,
     )
     ax.add_collection(collection)
-    ax.autoscale_view()
     return collection
 
 

@@ -264,6 +264,14 @@ def test_summary_averages_what_corrected_the_belief(lesson: Path) -> None:
     assert got["nis_mean"] == pytest.approx(np.mean([n for n in history.nis[~first] if n <= 9.0]), rel=1e-12)
 
 
+@pytest.mark.usefixtures("no_figures")
+def test_a_history_without_a_time_is_written_into_a_new_folder_as_json(lesson: Path, tmp_path: Path) -> None:
+    log, motion = Log.read_csv(lesson), Unicycle(0.05, 0.05)
+    history = replace(EKFSLAM(motion, RangeBearing(0.1, 0.035)).run(log), seconds=float("nan"))
+    summary.write_run(tmp_path / "a" / "b", summary.assess(history, log, motion), log)
+    assert strict_json(tmp_path / "a" / "b" / "summary.json")["seconds"] is None
+
+
 def test_summary_refuses_the_history_of_another_log(lesson: Path) -> None:
     log, motion = Log.read_csv(lesson), Unicycle(0.05, 0.05)
     history = EKFSLAM(motion, RangeBearing(0.1, 0.035)).run(log)
@@ -574,6 +582,7 @@ def test_unknown_columns_ask_for_a_model(tmp_path: Path) -> None:
 
 def test_a_run_that_fails_midway_leaves_what_it_did(lesson: Path, tmp_path: Path) -> None:
     succeeds("run", "csv", lesson, "--out", tmp_path / "whole")
+    succeeds("run", "csv", lesson, "--max-steps", 9, "--json", tmp_path / "nine.json")
     break_at(lesson, 30)  # the 30th sighting: of three a step, in the tenth step
     outputs = ("--out", tmp_path / "out", "--json", tmp_path / "run.json", "--save", tmp_path / "f.npz")
     line = fails("run", "csv", lesson, *outputs)
@@ -584,6 +593,7 @@ def test_a_run_that_fails_midway_leaves_what_it_did(lesson: Path, tmp_path: Path
     assert contents(tmp_path / "out").keys() == contents(tmp_path / "whole").keys()
     got = strict_json(tmp_path / "out" / "summary.json")
     assert (got["steps"], got["observations"]) == (9, 27)
+    assert got | {"seconds": 0} == strict_json(tmp_path / "nine.json") | {"seconds": 0}
     assert is_png(tmp_path / "out" / "overview.png")
     assert not (tmp_path / "run.json").exists() and not (tmp_path / "f.npz").exists()
 
@@ -665,7 +675,9 @@ def small_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
         x, y, theta = pose(t)
         for subject, (a, b) in landmarks.items():
             r, bearing = np.hypot(a - x, b - y), np.arctan2(b - y, a - x) - theta
-            noisy = f"{r + rng.normal(0, 0.02):.6f} {np.angle(np.exp(1j * bearing)) + rng.normal(0, 0.01):.6f}"
+            # Two outliers: one that the gate lets pass, one that it must refuse.
+            r += {(10.0, 6): 0.8, (20.0, 7): 8.0}.get((t, subject), rng.normal(0, 0.02))
+            noisy = f"{r:.6f} {np.angle(np.exp(1j * bearing)) + rng.normal(0, 0.01):.6f}"
             measurement.append(f"{start + t:.3f} {barcodes[subject]} {noisy}")
     measurement.append(f"{start + 1:.3f} 5 1.0 0.0")
     measurement.append(f"{start + 1:.3f} 99 1.0 0.0")
@@ -691,7 +703,7 @@ def test_run_mrclam(small_set: Path, tmp_path: Path) -> None:
     assert "1 sightings of robots, 1 of unknown barcodes" in text
     got = strict_json(tmp_path / "run.json")
     assert {name: type(value) for name, value in got.items()} == KEYS
-    assert (got["landmarks"], got["observations"]) == (3, 177)
+    assert (got["landmarks"], got["observations"], got["rejected"]) == (3, 177, 1)
     assert got["ate_m"] < 0.1
     assert is_png(tmp_path / "out" / "overview.png")
     log, (motion, sensor) = mrclam.load(small_set, 1), mrclam.models()

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from family import FILTERS, ORDERS, SENSORS, PlainMotion, PlainSensor
+from family import ORDERS, SENSORS, PlainMotion, PlainSensor
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamkit import FirstEstimatesEKFSLAM, InputError, Log, SlamkitError, gauge, se2, simulate
 from slamkit.compiled import compiled
+from slamkit.filters import FILTERS
 from slamkit.filters.standard import start as standard_start
 from slamkit.models import Unicycle
 
@@ -98,8 +99,6 @@ def test_null_directions_are_rigid_motions_of_the_state(name: str) -> None:
 
 
 def test_ideal_null_directions_are_rigid_motions_of_the_truth() -> None:
-    if "ideal" not in FILTERS:
-        pytest.skip("there is no ideal filter")
     truth = log_of().truth
     assert truth is not None
     f, h = grown("ideal"), 1e-6
@@ -154,7 +153,8 @@ def test_nullity_is_three_unless_the_heading_is_learnt(name: str, order: str, se
     assert len(f.landmark_ids) == 0  # a copy made the run
     assert values.shape == (13,) and np.all(np.diff(values) <= 0)
     assert found.nullity == (3 if KEEPS[name] else 2)
-    assert np.all(values[-found.nullity :] < 2e-13)
+    # A regression over sigma points that are 1e-3 standard deviations apart loses half of the digits.
+    assert np.all(values[-found.nullity :] < (1e-4 if name == "ukf" else 2e-13))
     assert np.all(values[: -found.nullity] > 1e-2)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 from slamkit import kernels
-from slamkit.belief import BASE, BLOCK, Belief
+from slamkit.belief import BLOCK, Belief
 from slamkit.compiled import Compiled, Models, Policy, call
 from slamkit.errors import DivergenceError, InputError, LogFileError, ModelError, SlamkitError, UnsupportedError
 from slamkit.filters import standard, steps
@@ -48,6 +48,7 @@ class LandmarkFilter:
     name: ClassVar[str]  #: the estimator's name on the command line and in figures
     functions: ClassVar[PolicyFunctions] = PolicyFunctions()
     iterations: ClassVar[int] = 1
+    base: ClassVar[int] = 3  #: entries of the belief before its first landmark, the pose in front
     feet: ClassVar[str] = "mean"  #: array of the state at which the Jacobians take their lever arms
 
     def __init__(
@@ -75,7 +76,8 @@ class LandmarkFilter:
         self.dim_z, self.B = len(R), 0
         self.dim_u = int(getattr(motion, "control_dim", 0))
         x[2] = wrap(x[2])
-        self._belief = Belief(x, P, rows=self.dim_z, control_dim=max(self.dim_u, 1))
+        rest = (0, self.base - 3)
+        self._belief = Belief(np.pad(x, rest), np.pad(P, rest), rows=self.dim_z, control_dim=max(self.dim_u, 1))
         self._models = _adapt(motion, sensor, R)
         self._policy = self._new_policy()
 
@@ -298,16 +300,13 @@ class LandmarkFilter:
         H = np.asarray(HJacobian(x, *(args if isinstance(args, tuple) else (args,))), dtype=float)
         z_hat = Hx(x, *(hx_args if isinstance(hx_args, tuple) else (hx_args,)))
         measured = _array("z", measured, (r,))
-        H = _array("HJacobian's result", np.atleast_2d(H), (r, self._belief.dim))
+        H = _array("HJacobian's result", np.atleast_2d(H), (r, self.dim_x))
         noise = self.R if R is None else np.eye(r) * float(R) if np.ndim(R) == 0 else R  # type: ignore[arg-type]
         noise = _covariance("R", noise, r)
         y = _array("the residual", np.atleast_1d(np.asarray(residual(measured, z_hat), dtype=float)), (r,))
         self._settle()
-        self._belief.gain(H, y, noise)
-        state = self._belief.state
-        state.z[:r] = measured
-        kernels.downdate(state, r)
-        self._policy.retract(state)
+        self._correct(H, y, noise)
+        self._belief.state.z[:r] = measured
         if self.snapshots:
             self._posterior = self.x, self.P
 
@@ -371,20 +370,38 @@ class LandmarkFilter:
         """Points (D,) at which the Jacobians take their lever arms; the entry of the heading means nothing."""
         return np.array(getattr(self._belief.state, self.feet)[: self._belief.dim])
 
+    def _mean(self) -> Array:
+        """Mean (D,) in standard coordinates; a copy."""
+        return self._belief.mean
+
+    def _covariance(self) -> Array:
+        """Covariance (D, D) in standard coordinates; a copy."""
+        return self._belief.covariance
+
     def _place(self, x: Array) -> None:
         """Take x for the mean; P, in standard coordinates, stays."""
         self._belief.mean = x
+
+    def _place_covariance(self, P: Array) -> None:
+        """Take P, in standard coordinates, for the covariance; x stays."""
+        self._belief.covariance = P
+
+    def _correct(self, H: Array, y: Array, R: Array) -> None:
+        """Update by ``y = H δ + v``, v ~ N(0, R), with a dense H (r, D) in standard coordinates."""
+        self._belief.gain(H, y, R)
+        kernels.downdate(self._belief.state, len(y))
+        self._policy.retract(self._belief.state)
 
     # -- as filterpy's users know it ----------------------------------------------------------------------------------
 
     @property
     def x(self) -> Array:
         """State (D,) = (x, y, θ, landmarks in the order of `landmark_ids`); a read-only copy. Assign to change it."""
-        return _frozen(self._belief.mean)
+        return _frozen(self._mean())
 
     @x.setter
     def x(self, value: ArrayLike) -> None:
-        x = _array("x", value, (self._belief.dim,))
+        x = _array("x", value, (self.dim_x,))
         x[2] = wrap(x[2])
         self._settle()
         self._place(x)
@@ -393,18 +410,18 @@ class LandmarkFilter:
     def P(self) -> Array:  # noqa: N802
         """Covariance (D, D) of x; a read-only copy. Assign to change it: ``f.P = 10 * f.P``."""
         self._settle()
-        return _frozen(self._belief.covariance)
+        return _frozen(self._covariance())
 
     @P.setter
     def P(self, value: ArrayLike) -> None:  # noqa: N802
-        P = _covariance("P", value, self._belief.dim)
+        P = _covariance("P", value, self.dim_x)
         self._settle()
-        self._belief.covariance = P
+        self._place_covariance(P)
 
     @property
     def dim_x(self) -> int:
         """D = 3 + 2N, grows with the map."""
-        return self._belief.dim
+        return self._belief.dim - self.base + 3
 
     @property
     def R(self) -> Array:  # noqa: N802
@@ -414,20 +431,20 @@ class LandmarkFilter:
     @property
     def F(self) -> Array:  # noqa: N802
         """Transition matrix (D, D) of the last prediction, formed when asked for."""
-        F = np.eye(self._belief.dim)
+        F = np.eye(self.dim_x)
         F[:3, :3] = self._belief.state.F
         return _frozen(F)
 
     @property
     def Q(self) -> Array:  # noqa: N802
         """Process noise (D, D) of the last prediction, formed when asked for."""
-        Q = np.zeros((self._belief.dim, self._belief.dim))
+        Q = np.zeros((self.dim_x, self.dim_x))
         Q[:3, :3] = self._belief.state.Q
         return _frozen(Q)
 
     @property
     def _I(self) -> Array:  # noqa: N802
-        return np.eye(self._belief.dim)
+        return np.eye(self.dim_x)
 
     @property
     def _rows(self) -> int:
@@ -459,6 +476,7 @@ class LandmarkFilter:
         s, rows = self._belief.state, self._rows
         w = s.w[:rows, : self._belief.dim].copy()
         w[:, int(s.size[2]) :] = 0.0
+        w = np.delete(w, slice(3, self.base), axis=1)
         return _frozen(solve_triangular(s.L[:rows, :rows], w, lower=True, trans="T").T.copy())
 
     @property
@@ -601,8 +619,8 @@ class LandmarkFilter:
         if n < len(ids):
             i, name = ids[n], type(self.sensor).__name__
             if i in self._belief.slots:
-                landmark = self.landmarks[i]
-                distance = float(np.hypot(*(landmark - state.pose[:2])))
+                slot = self._belief.slots[i]
+                distance = float(np.hypot(*(state.mean[slot : slot + 2] - state.pose[:2])))
                 what = f"landmark {i!r} lies {distance:.3g} m from the robot"
             else:
                 what = f"landmark {i!r} was measured at {z[n]}"
@@ -686,8 +704,8 @@ class LandmarkFilter:
             state = new._belief.state
             for name, array in arrays.items():
                 getattr(state, name)[tuple(slice(0, n) for n in array.shape)] = array
-            new._belief.slots = {i: BASE + BLOCK * n for n, i in enumerate(ids)}
-            if BASE + BLOCK * len(ids) != D:
+            new._belief.slots = {i: cls.base + BLOCK * n for n, i in enumerate(ids)}
+            if cls.base + BLOCK * len(ids) != D:
                 raise ValueError(f"{len(ids)} landmark ids and a state of {D}")
             new._resume(facts)
         return new

@@ -96,6 +96,7 @@ class IdealEKFSLAM(EKFSLAM):
     """
 
     name = "ideal"
+    feet = "points"
     functions = PolicyFunctions(motion=motion, sensor=sensor, start=start, scan=scan)
 
     TOLERANCE = 1e-3  #: how far [s] a true pose may lie from the time at which it is needed
@@ -137,7 +138,8 @@ class IdealEKFSLAM(EKFSLAM):
     def _advance(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
         if self.truth is None:
             self._learn(None)
-        self._belief.reserve(0, len(ids))
+        # Room for new landmarks too, or the base class lays the arrays out anew after the truth is written.
+        self._belief.reserve(len(ids), len(ids))
         state = self._belief.state
         state.memory[:3] = self._true_pose(self.time + dt)
         state.truth[: len(ids)] = self._true_landmarks(ids)

@@ -84,4 +84,5 @@ class ObservabilityConstrainedUKFSLAM(UKFSLAM):
     """
 
     name = "oc-ukf"
+    feet = "points"
     functions = PolicyFunctions(motion=ukf_motion, sensor=sensor, start=start, scan=scan)

@@ -467,18 +467,29 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
             raise
         return steps.OK
 
+    def _ask(self, function: str, shape: int | tuple[int, int], *arguments: Any) -> Array:
+        """One of the models' functions, its result checked as every filter checks it."""
+        out = np.empty(shape)
+        motion = function in ("move", "control_noise", "pose_noise")
+        params = self._models.motion_params if motion else self._models.sensor_params
+        getattr(self._models, function)(*arguments, params, out)
+        return out
+
+    def _residual(self, z: Array, z_hat: Array) -> Array:
+        return self._ask("residual", self.dim_z, z, z_hat)
+
     def _first_bad(self, slots: NDArray[np.int64], z: Array) -> int:
         pose = self._belief.state.mean[:3]
         for i, slot in enumerate(slots):
-            l = self._belief.state.mean[slot : slot + 2] if slot >= 0 else self.sensor.invert(pose, z[i])  # noqa: E741
-            if not np.all(np.isfinite(self.sensor.residual(z[i], self.sensor.predict(pose, l)))):
+            at = self._belief.state.mean[slot : slot + 2] if slot >= 0 else self._ask("invert", 2, pose, z[i])
+            if not np.all(np.isfinite(self._residual(z[i], self._ask("predict", self.dim_z, pose, at)))):
                 return i
         return -1
 
     def _whole_predict(self, u: Array, dt: float) -> bool:
         belief, state, m = self._belief, self._belief.state, len(u)
         D, x, columns = belief.dim, belief.mean, self._columns()
-        sigma_u = np.array(self.motion.control_noise(u, dt), dtype=float)
+        sigma_u = self._ask("control_noise", (m, m), u, dt)
         L_u = np.empty((m, m))
         root(sigma_u, L_u, m, 0.0)
         both = np.zeros((D + m, D + m))
@@ -489,8 +500,8 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
             d[2] = se2.wrap(d[2])
             return d
 
-        fit = self._fit(lambda s: self.motion.move(s[:3], s[D:], dt), turn, both, np.append(x, u))
-        noise = fit.error + self.motion.pose_noise(x[:3], u, dt)
+        fit = self._fit(lambda s: self._ask("move", 3, s[:3], s[D:], dt), turn, both, np.append(x, u))
+        noise = fit.error + self._ask("pose_noise", (3, 3), x[:3], u, dt)
         pose = fit.centre + fit.mean
         if not (np.all(np.isfinite(pose)) and np.all(np.isfinite(fit.half)) and np.all(np.isfinite(noise))):
             state.pose[:] = pose
@@ -524,11 +535,11 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         k, belief, columns = self.dim_z, self._belief, self._columns()
 
         def h(x: Array) -> Array:
-            return np.concatenate([self.sensor.predict(x[:3], x[slots[i] : slots[i] + 2]) for i in group])
+            return np.concatenate([self._ask("predict", k, x[:3], x[slots[i] : slots[i] + 2]) for i in group])
 
         def subtract(a: Array, b: Array) -> Array:
             pairs = zip(a.reshape(-1, k), b.reshape(-1, k), strict=True)
-            return np.concatenate([self.sensor.residual(*pair) for pair in pairs])
+            return np.concatenate([self._residual(*pair) for pair in pairs])
 
         fit = self._fit(h, subtract, columns)
         S = fit.half @ fit.half.T + fit.error + np.kron(np.eye(len(group)), np.asarray(self.sensor.R))
@@ -557,7 +568,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         root(np.array(self.sensor.R, dtype=float), L_z, k, 0.0)
         both = np.zeros((D + k, D + k))
         both[:D, :D], both[D:, D:] = columns, L_z
-        fit = self._fit(lambda s: self.sensor.invert(s[:3], s[D:]), np.subtract, both, np.append(belief.mean, z))
+        fit = self._fit(lambda s: self._ask("invert", 2, s[:3], s[D:]), np.subtract, both, np.append(belief.mean, z))
         return belief.append(fit.centre + fit.mean, fit.half[:, :D] @ columns.T, fit.half @ fit.half.T + fit.error)
 
     def _facts(self) -> dict[str, Any]:
