@@ -196,7 +196,7 @@ class Belief:
         self.state.mean[:D] += self.state.dx[:D]
 
     def augment(self, block_id: Hashable, mean: ArrayLike, G: ArrayLike, noise: ArrayLike) -> None:
-        """Append a block: P_ls = G P_xs, P_ll = G P_xx Gᵀ + noise, with G (2, 3) on the base's first three, noise (2, 2)."""
+        """Append a block: P_ls = G P_xs, P_ll = G P_xx Gᵀ + noise, G (2, 3) on the base's first three."""
         if block_id in self.slots:
             raise InputError(f"block {block_id!r} exists already")
         self.reserve(1)

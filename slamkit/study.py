@@ -582,6 +582,7 @@ class Study:
                 axes = figure.subplots(-(-len(self._judged) // 2), 2, sharex=True, sharey=True, squeeze=False)
                 for ax, name in zip(axes.flat, self._judged, strict=False):
                     self._plot_claim(ax, name)
+                    ax.label_outer()
                 for ax in axes.flat[len(self._judged) :]:
                     ax.remove()
             figures["claims"] = figure
@@ -621,8 +622,8 @@ class Study:
         Figure
             Above, for every filter, the NEES per degree of freedom of its final state in two parts that add up: the
             relative map, and the gauge; below, the gauge deviation, which may not fall, and the heading error of the
-            standard EKF (without it, of the filter with the largest gauge NEES) beside what it claims. Without a split of NEES the pose takes the
-            gauge's place.
+            standard EKF (without it, of the filter with the largest gauge NEES) beside what it claims. Where no NEES
+            could be split the pose takes the gauge's place.
 
         Raises
         ------

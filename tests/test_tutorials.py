@@ -25,7 +25,7 @@ CLAIMS = {
     ],
     "02": [
         ("correlation of the two landmarks' x: ", 0.3, 1.0),
-        ("share of |correlation| > 0.1 after one loop: ", 0.5, 1.0),
+        ("share of |correlation| > 0.1 at the end: ", 0.5, 1.0),
     ],
     "03": [
         ("EKF-SLAM with the camera, position RMSE: ", 0.0, 1.0),

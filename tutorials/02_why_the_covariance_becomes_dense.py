@@ -50,24 +50,26 @@ print(f"correlation of the two landmarks' x: {rho[3, 5]:.3f}")
 # %% [markdown]
 # ## Watching it fill
 #
-# The same over a loop of the simulated world. At some moments we take P apart into correlations. The share of pairs with
-# |ρ| > 0.1 says how dense it is.
+# The same over the first loop of the simulated world. At some moments we take P apart into correlations. The share
+# of pairs with |ρ| > 0.1 says how dense it is, the share with |ρ| > 0.9 how strong the ties are.
 
 # %%
 world = loop_world("range-bearing")
 log = simulate(world, np.random.default_rng(1))
 ekf = EKFSLAM(world.motion, world.sensor, world.pose, world.pose_covariance)
-moments, shots, times, density = (30, 120, 251), [], [], []
+moments, shots, times, density = (30, 120, 300), [], [], {0.1: [], 0.9: []}
 for k, step in enumerate(log):
     if k > moments[-1]:
         break
     ekf.step(step.u, step.dt, step.scan)
     if len(ekf.landmarks) > 1:
         times.append(step.time)
-        density.append(plots.correlation_density(ekf.P, threshold=0.1))
+        for threshold, shares in density.items():
+            shares.append(plots.correlation_density(ekf.P, threshold=threshold))
     if k in moments:
         shots.append((step.time, ekf.P, ekf.landmark_ids))
-print(f"share of |correlation| > 0.1 after one loop: {density[-1]:.2f}")
+print(f"share of |correlation| > 0.1 at the end: {density[0.1][-1]:.2f}")
+print(f"share of |correlation| > 0.9 at the end: {density[0.9][-1]:.2f}")
 
 # %% [markdown]
 # ## What it costs
@@ -99,20 +101,23 @@ for n in (10, 30, 100, 300):
 # %% [markdown]
 # ## The figure
 #
-# Above, the correlations at three moments of the first loop; the pose comes first, then the landmarks in the order in
-# which they were met. Below, the share of strong correlations over time.
+# Above, the correlations at three moments, the last one after the loop is closed; the pose comes first, then the
+# landmarks in the order in which they were met. Below, the shares over time.
 
 # %%
 figure = plt.figure(figsize=(10, 6.6), layout="constrained")
 grid = figure.add_gridspec(2, 3, height_ratios=[1.35, 1])
 for column, (at, P, ids) in enumerate(shots):
     plots.plot_correlation(figure.add_subplot(grid[0, column]), P, ids, time=at)
+loop = 2 * np.pi / 0.025  # duration of one loop [s]
 below = figure.add_subplot(grid[1, :])
 look = plots.style("ekf")
-below.plot(times, density, color=look.color)
-below.axvline(2 * np.pi / 0.025, color="0.5", linewidth=0.8)
-below.annotate("loop closed", (2 * np.pi / 0.025, 0.05), xycoords=("data", "axes fraction"), ha="right", rotation=90)
-below.set(xlabel="time [s]", ylabel="share of |ρ| > 0.1", ylim=(0, 1.02), xlim=(0, times[-1]))
+for (threshold, shares), line in zip(density.items(), ("-", "--"), strict=True):
+    below.plot(times, shares, color=look.color, linestyle=line, label=f"|ρ| > {threshold}")
+below.axvline(loop, color="0.5", linewidth=0.8)
+below.annotate("loop closed", (loop, 0.05), xycoords=("data", "axes fraction"), ha="right", rotation=90)
+below.set(xlabel="time [s]", ylabel="share of all pairs", ylim=(0, 1.02), xlim=(0, times[-1]))
+below.legend(loc="center left", frameon=False)
 
 FIGURES.mkdir(parents=True, exist_ok=True)
 print("figure:", plots.save(figure, FIGURES / "02_why_the_covariance_becomes_dense.png", dpi=150))
@@ -121,5 +126,5 @@ print("figure:", plots.save(figure, FIGURES / "02_why_the_covariance_becomes_den
 # ## Key points
 #
 # - A landmark is placed by the robot, so it shares the robot's error: its covariance with all the rest is not zero.
-# - The correlations are no nuisance. They carry a loop closure back to every landmark; a filter that drops them is wrong.
+# - The correlations are no nuisance. They carry a loop closure back to every landmark.
 # - A sighting must touch all of P: O(D²) if it is done well, O(D³) if it is not. Memory is O(D²) either way.

@@ -4,8 +4,8 @@
 # # 03 · A model of your own
 #
 # A filter of slamkit takes any object that has the methods of a model. There is nothing to inherit from and nothing to
-# register. This tutorial writes a sensor that measures **bearing and inverse range** (as a camera that knows the size of
-# what it sees does), checks it, runs it, and then compiles it, with the same answers.
+# register. This tutorial writes a sensor that measures **bearing and inverse range** (as a camera does that knows the
+# size of what it sees), checks it, runs it, and then compiles it, with the same answers.
 #
 # | symbol | shape | meaning |
 # |---|---|---|

@@ -1,12 +1,12 @@
-"""A real robot: one hour of the UTIAS data set, from the log as it was published to a map."""
+"""A real robot: twenty-five minutes of the UTIAS data set, from the log as it was published to a map."""
 
 # %% [markdown]
 # # 05 · A real robot
 #
 # MRCLAM (Leung, Halpern, Barfoot & Liu, IJRR 30(8), 2011) has five small robots driving among fifteen landmarks in a
 # hall, with the truth from a motion-capture system. Nothing in it is simulated: the motion lags the commands by 0.2 s,
-# the robots are slower than commanded, ranges are short by 1 %, barcodes are misread, and the published positions of two
-# landmarks are exchanged. The reader copes with what can be coped with, and counts the rest.
+# the robots are slower than commanded, ranges are short by 1 %, barcodes are misread, and the published positions of
+# two landmarks are exchanged. The reader copes with what can be coped with, and counts the rest.
 #
 # The data are not part of slamkit. Point `SLAMKIT_DATA` to a folder that holds `mrclam/MRCLAM_Dataset1.zip`, or fetch
 # it: `slamkit fetch mrclam 1 --folder data/mrclam`.

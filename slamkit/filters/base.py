@@ -177,7 +177,8 @@ class LandmarkFilter:
         ------
         InputError
             The log does not fit the models, or holds a measurement that cannot be; the message says at which time.
-            The belief is then as it was after the last good step; ``error.history`` holds what was recorded.
+            The belief is then as it was after the last good step; ``error.history`` holds what was recorded, as it
+            does for a KeyboardInterrupt.
         """
         if not isinstance(log, Log):
             raise InputError(f"log is a {type(log).__name__}, expected a slamkit.Log")
@@ -196,7 +197,9 @@ class LandmarkFilter:
         widest = int(np.diff(schedule.first).max(initial=1))
         done, stretch, started = 0, 1 if not self._models.compiled else 256, time.perf_counter()
         report = _reporter(progress, K)
-        failure: SlamkitError | None = None
+        failure: SlamkitError | KeyboardInterrupt | None = None
+        seen: dict[int, Hashable] = {}
+        slot_of = np.empty(0, dtype=np.int64)
         try:
             while done < K and failure is None:
                 stop = min(done + stretch, K)
@@ -210,9 +213,7 @@ class LandmarkFilter:
                     true_poses, true_landmarks, done, stop, poses, covariances, innovations, nis, accepted,
                 )  # fmt: skip
                 reached = self._guarded(steps.run, *arguments)
-                for i in sorted((i for i in seen if slot_of[i] >= 0), key=lambda i: int(slot_of[i])):
-                    if seen[i] not in self._belief.slots:
-                        self._belief.register(seen[i], int(slot_of[i]))
+                self._name(seen, slot_of)
                 if reached < stop:
                     rows = slice(schedule.first[reached], schedule.first[reached + 1])
                     ids = [log.landmark_ids[i] for i in log.observation_ids[rows]]
@@ -220,6 +221,10 @@ class LandmarkFilter:
                     failure = self._failure(u, ids, z[rows], f" at time {schedule.times[reached]} s of the log")
                 done = reached
                 report(done)
+        except KeyboardInterrupt as interrupt:
+            # It may come between a compiled stretch and the naming of the landmarks which that has started.
+            self._name(seen, slot_of)
+            failure = interrupt
         finally:
             report(None)
         index = {i: n for n, i in enumerate(self._belief.slots)}
@@ -241,9 +246,15 @@ class LandmarkFilter:
             seconds=time.perf_counter() - started,
         )
         if failure is not None:
-            failure.history = history  # type: ignore[attr-defined]
+            failure.history = history  # type: ignore[union-attr]
             raise failure
         return history
+
+    def _name(self, ids: Mapping[int, Hashable], slot_of: NDArray[np.int64]) -> None:
+        """Name the landmarks that compiled code has started, in the order of their slots."""
+        for i in sorted((i for i in ids if slot_of[i] >= 0), key=lambda i: int(slot_of[i])):
+            if ids[i] not in self._belief.slots:
+                self._belief.register(ids[i], int(slot_of[i]))
 
     def remove(self, landmark_id: Hashable) -> None:
         """Take a landmark out of the map; the rest of the belief stays as it is.
@@ -593,7 +604,7 @@ class LandmarkFilter:
         before = self._belief.snapshot()
         try:
             return int(call(step, self._policy, self._models, self._belief.state, *arguments))
-        except Exception:
+        except BaseException:
             self._belief.restore(before)
             raise
 
