@@ -17,10 +17,10 @@ demo: $(ready)
 	$(bin)/slamkit demo --out demo
 
 test: lint
-	$(bin)/python -m pytest
+	$(bin)/python -m pytest -n auto --dist worksteal
 
 test-long: lint
-	$(bin)/python -m pytest -m "slow or not slow"
+	$(bin)/python -m pytest -n auto --dist worksteal -m "slow or not slow"
 
 bench: $(ready)
 	@set -e; for script in $(benchmarks); do echo "$$script"; $(bin)/python "$$script"; done

@@ -11,6 +11,7 @@ from slamkit.filters import (
     IteratedEKFSLAM,
     ObservabilityConstrainedEKFSLAM,
     ObservabilityConstrainedUKFSLAM,
+    RobocentricEKFSLAM,
 )
 from slamkit.logs import History, Log, Scan, Truth
 from slamkit.models.check import check_model, numeric_jacobian
@@ -31,6 +32,7 @@ __all__ = [
     "ModelError",
     "ObservabilityConstrainedEKFSLAM",
     "ObservabilityConstrainedUKFSLAM",
+    "RobocentricEKFSLAM",
     "Scan",
     "SlamkitError",
     "Truth",

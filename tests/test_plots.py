@@ -96,6 +96,7 @@ def test_ellipse_holds_the_stated_share_of_its_gaussian(probability: float) -> N
 
 
 @given(SEEDS)
+@settings(max_examples=30)
 def test_ellipses_move_with_their_gaussian(seed: int) -> None:
     rng = np.random.default_rng(seed)
     P, mu, T = _covariances(rng, 3, 2, (1.0, 0.3)), rng.normal(size=(3, 2)), rng.uniform(-3, 3, 3)
@@ -141,7 +142,7 @@ def test_ellipses_refuse_unequal_numbers() -> None:
 
 
 @given(SEEDS)
-@settings(max_examples=5)
+@settings(max_examples=4)
 def test_map_draws_the_estimate_moved_by_the_alignment(seed: int) -> None:
     history, truth = run(seed)
     T = np.random.default_rng(seed).uniform(-3, 3, 3)
@@ -198,7 +199,7 @@ def test_errors_are_estimate_minus_truth_in_metres_and_degrees() -> None:
 
 
 @given(SEEDS)
-@settings(max_examples=5)
+@settings(max_examples=4)
 def test_errors_and_claims_do_not_depend_on_the_frame_of_the_estimate(seed: int) -> None:
     history, truth = run(seed)
     T = np.random.default_rng(seed).uniform(-3, 3, 3)
@@ -309,6 +310,7 @@ def test_nis_refuses_an_empty_window() -> None:
 
 
 @given(SEEDS)
+@settings(max_examples=30)
 def test_correlation_is_bounded_and_free_of_units(seed: int) -> None:
     rng = np.random.default_rng(seed)
     P, units = _covariances(rng, 1, 7, (1,) * 7)[0], np.exp(rng.normal(size=7))
@@ -446,10 +448,10 @@ def test_a_filter_keeps_its_colour_in_every_figure() -> None:
         assert {c.lower() for c in colours} == {color.lower()}
 
 
-def test_truth_and_dead_reckoning_look_the_same_beside_every_filter() -> None:
+def test_truth_and_dead_reckoning_look_the_same_beside_any_filter() -> None:
     history, truth = run()
     looks = set()
-    for name in FILTERS:
+    for name in FILTERS[::4]:
         drawn = plots.plot_map(axes(), replace(history, filter=name), truth, (history.times, history.poses))
         looks.add((drawn["truth"][0].get_color(), drawn["dead_reckoning"][0].get_color()))
     assert looks == {(plots.STYLES["truth"].color, plots.STYLES["dead_reckoning"].color)}
@@ -518,7 +520,11 @@ def test_a_shared_legend_names_everything_once() -> None:
 @pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
 def test_the_same_figure_gives_the_same_bytes(suffix: str, tmp_path: Any) -> None:
     history, truth = run(M=60)
-    files = [plots.save(plots.overview(history, truth=truth), tmp_path / f"{k}{suffix}", dpi=50) for k in "ab"]
+    files = []
+    for k in "ab":
+        ax = axes()
+        plots.plot_map(ax, history, truth)
+        files.append(plots.save(ax.figure, tmp_path / f"{k}{suffix}", dpi=50))
     first, second = (file.read_bytes() for file in files)
     assert first == second
     assert len(first) > 5000
@@ -579,10 +585,10 @@ def _degenerate() -> dict[str, tuple[History, Truth | None]]:
 def test_degenerate_runs_draw_without_a_warning(case: str) -> None:
     history, truth = _degenerate()[case]
     reckoned = None if truth is None else (history.times, history.poses)
-    draw(plots.overview(history, None, reckoned, truth=truth))
-    ax = axes()
-    plots.plot_nis(ax, history, log=True)
-    draw(ax.figure)
+    figure = plots.overview(history, None, reckoned, truth=truth)
+    figure.set_layout_engine("none")
+    plots.plot_nis(figure.add_axes((0.6, 0.05, 0.35, 0.1)), history, log=True, legend=False)
+    draw(figure)
 
 
 # -- comparisons -------------------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from math import pi
 from typing import Any
 
@@ -15,9 +16,9 @@ from family import MOTIONS, ORDERS, P0, SENSORS, control_for, drive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamkit import EKFSLAM, InputError, gauge, simulate
+from slamkit import EKFSLAM, InputError, RobocentricEKFSLAM, gauge, simulate
 from slamkit.consistency import pose_nees
-from slamkit.filters.robocentric import RobocentricEKFSLAM, compose
+from slamkit.filters.robocentric import compose
 from slamkit.models import RangeBearing, RelativePosition, Unicycle
 from slamkit.se2 import wrap
 from slamkit.simulate import World, loop_world, standing_world
@@ -61,9 +62,8 @@ class Dense:
 
     @staticmethod
     def seen_from(a: Any, points: Any) -> Any:
-        z = (points[0::2] - a[0] + 1.0 * (points[1::2] - a[1]) * np.array(0), points[1::2] - a[1])
-        c, s = np.cos(a[2]), np.sin(a[2])
-        return np.array([c * (points[0::2] - a[0]) + s * z[1], -s * (points[0::2] - a[0]) + c * z[1]]).T.ravel()
+        c, s, x, y = np.cos(a[2]), np.sin(a[2]), points[0::2] - a[0], points[1::2] - a[1]
+        return np.array([c * x + s * y, c * y - s * x]).T.ravel()
 
     def composed(self, s: Any) -> Any:
         r, B = s[:3], s[3:6]
@@ -78,7 +78,8 @@ class Dense:
         out = np.array([self.start[0] + c * x - n * y, self.start[1] + n * x + c * y]).T.ravel()
         return np.concatenate([out[:2], [s[2] + turned], out[2:]])
 
-    def moved(self, s: Any, u: Any, dt: float) -> Any:
+    def moved(self, both: Any, dt: float) -> Any:
+        s, u = both[:-2], both[-2:]
         half = u[1] * dt / 2
         chord = u[0] * dt * np.sin(half) / half
         step = [chord * np.cos(s[2] + half), chord * np.sin(s[2] + half), 2 * half]
@@ -91,13 +92,14 @@ class Dense:
         # The branch of the arc tangent has no part in its derivative.
         return np.array([np.sqrt(b[0] ** 2 + b[1] ** 2), np.arctan(b[1] / b[0])])
 
-    def grown(self, s: Any, z: Any) -> Any:
+    def grown(self, both: Any) -> Any:
+        s, z = both[:-2], both[-2:]
         b = z if isinstance(self.sensor, RelativePosition) else np.array([z[0] * np.cos(z[1]), z[0] * np.sin(z[1])])
         c, n = np.cos(s[2]), np.sin(s[2])
         return np.concatenate([s, [s[0] + c * b[0] - n * b[1], s[1] + n * b[0] + c * b[1]]])
 
     def pass_through(self, f: Callable[[Any], Any], x: Any = None, noise: Any = None) -> None:
-        """s ← f(s), or f(s, x) with noise on x; P through the whole Jacobian."""
+        """s ← f(s), or f((s, x)) with noise on x; P through the whole Jacobian."""
         n = len(self.s)
         both = self.s if x is None else np.concatenate([self.s, x])
         A = self.derivative(f, both)
@@ -107,7 +109,7 @@ class Dense:
             self.P += A[:, n:] @ noise @ A[:, n:].T
 
     def correct(self, seen: Any) -> None:
-        H = np.vstack([self.derivative(lambda s, i=i: self.sighting(s, self.slots[i]), self.s) for i, _ in seen])
+        H = np.vstack([self.derivative(partial(self.sighting, slot=self.slots[i]), self.s) for i, _ in seen])
         y = []
         for i, z in seen:
             slot = self.slots[i]
@@ -119,16 +121,15 @@ class Dense:
         self.P = kept @ self.P @ kept.T + K @ R @ K.T
 
     def step(self, u: Any, dt: float, scan: Any) -> None:
-        n = len(self.s)
-        self.pass_through(lambda s: self.moved(s[:n], s[n:], dt), u, self.motion.control_noise(u, dt))
+        self.pass_through(partial(self.moved, dt=dt), u, self.motion.control_noise(u, dt))
         sightings = list(zip(scan.ids, scan.z, strict=True))
         known = [(i, z) for i, z in sightings if i in self.slots]
         if self.batch and known:
             self.correct(known)
         for i, z in sightings:
             if i not in self.slots:
-                self.slots[i], n = len(self.s), len(self.s)
-                self.pass_through(lambda s, n=n: self.grown(s[:n], s[n:]), z, np.asarray(self.sensor.R))
+                self.slots[i] = len(self.s)
+                self.pass_through(self.grown, z, np.asarray(self.sensor.R))
             elif not self.batch:
                 self.correct([(i, z)])
         if known:
@@ -205,9 +206,9 @@ def test_to_first_order_it_is_the_ekf(order: str, sensor: Any) -> None:
         b.run(log)
         return float(np.abs(a.x - b.x).max()), float(np.abs(a.P - b.P).max())
 
-    (x, P), (x_small, P_small) = differences(0.1), differences(0.01)
-    assert 1e-6 < x
-    assert 1e-9 < P
+    (x, P), (x_small, P_small) = differences(0.01), differences(0.001)
+    assert x > 1e-5
+    assert P > 1e-9
     assert x_small < x / 70
     assert P_small < P / 500
 
@@ -290,10 +291,8 @@ def test_a_prediction_is_the_ekfs(motion: str) -> None:
 
 
 @every_sensor
-@every_order
-def test_y_S_and_K_are_those_of_the_world(sensor: str, order: str) -> None:  # noqa: N802
+def test_y_S_and_K_are_those_of_the_world(sensor: str) -> None:  # noqa: N802
     f = between_frames(sensor=sensor)
-    f.order = order
     i = f.landmark_ids[2]
     x, P, slot = f.x, f.P, 7
     z = f.sensor.predict(x[:3], x[slot : slot + 2]) + 0.05
@@ -322,7 +321,7 @@ def test_an_extra_sensor_between_frames_is_filterpys_update() -> None:
     def antenna(x: Any) -> Any:
         return x[:2] + 0.4 * np.array([np.cos(x[2]), np.sin(x[2])])
 
-    fix = antenna(f.x) + [0.1, -0.05]
+    fix = antenna(f.x) + np.array([0.1, -0.05])
     f.update(fix, jacobian, antenna, R=1e-3)
     dense.update(fix, jacobian, antenna, R=np.eye(2) * 1e-3)
     for name in ("x", "P", "K", "S", "y", "z"):
@@ -358,7 +357,7 @@ def test_reading_changes_nothing() -> None:
 def test_a_landmark_on_the_robot_is_told_with_its_distance() -> None:
     f = between_frames()
     x = f.x.copy()
-    x[3:5] = x[:2] + [3e-8, 4e-8]
+    x[3:5] = x[:2] + np.array([3e-8, 4e-8])
     f.x = x
     with pytest.raises(InputError, match=r"lies 5e-08 m from the robot"):
         f.observe(f.landmark_ids[0], (0.5, 0.0))

@@ -9,6 +9,7 @@ from slamkit.filters.invariant import InvariantEKFSLAM
 from slamkit.filters.iterated import IteratedEKFSLAM
 from slamkit.filters.observability import ObservabilityConstrainedEKFSLAM
 from slamkit.filters.observability_ukf import ObservabilityConstrainedUKFSLAM
+from slamkit.filters.robocentric import RobocentricEKFSLAM
 from slamkit.filters.ukf import UKFSLAM, FullUKFSLAM
 
 #: Command-line name → estimator.
@@ -21,6 +22,7 @@ FILTERS: dict[str, Any] = {
         InvariantEKFSLAM,
         IteratedEKFSLAM,
         IdealEKFSLAM,
+        RobocentricEKFSLAM,
         UKFSLAM,
         FullUKFSLAM,
         ObservabilityConstrainedUKFSLAM,
@@ -38,4 +40,5 @@ __all__ = [
     "IteratedEKFSLAM",
     "ObservabilityConstrainedEKFSLAM",
     "ObservabilityConstrainedUKFSLAM",
+    "RobocentricEKFSLAM",
 ]

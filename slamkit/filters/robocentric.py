@@ -172,14 +172,15 @@ class RobocentricEKFSLAM(EKFSLAM):
     Notes
     -----
     The belief lives in the frame of the robot at the last scan that corrected it: the robot's pose r since then, the
-    frame B in which it started and the landmarks. A prediction moves r, O(D); a sighting corrects all; after a scan everything is
-    expressed in the frame of the corrected robot, a second pass over the covariance. Everything public is in world
-    coordinates: x, P, K, F and Q are formed when asked for. An `update` by an extra sensor is made in world
-    coordinates, with the same numbers as filterpy's.
+    frame B in which it started and the landmarks. A prediction moves r, O(D); a sighting corrects all; after a scan
+    everything is expressed in the frame of the corrected robot, a second pass over the covariance. Everything public
+    is in world coordinates: x, P, K, F and Q are formed when asked for. `update`, for an extra sensor, is made in
+    world coordinates and gives filterpy's own numbers.
 
-    The filter is inexact by nature: the change of frame is not linear, and its Jacobian is taken at the corrected
-    estimate, so that what is known of the relative map suffers a small error in every composition. No measurement and
-    no noise of the odometry depends on B, so the filter does not learn the gauge.
+    No measurement of landmarks depends on B: what the filter says of the map relative to the robot is the same
+    however uncertain the start is. It is inexact by nature all the same: the change of frame is not linear, and its
+    Jacobian is taken at the corrected estimate while the correction was made with another. What that leaves of
+    inconsistency sits in the relative map.
 
     References
     ----------
@@ -227,12 +228,12 @@ class RobocentricEKFSLAM(EKFSLAM):
         return self._belief.state.memory[2:5]  # type: ignore[no-any-return]
 
     @property
-    def F(self) -> Array:  # noqa: N802
+    def F(self) -> Array:  # type: ignore[override]  # noqa: N802
         """Transition matrix (D, D) of the last prediction, formed when asked for."""
         return self._pose_block_in_world(super().F)
 
     @property
-    def Q(self) -> Array:  # noqa: N802
+    def Q(self) -> Array:  # type: ignore[override]  # noqa: N802
         """Process noise (D, D) of the last prediction, formed when asked for."""
         return self._pose_block_in_world(super().Q)
 
