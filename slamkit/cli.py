@@ -42,6 +42,8 @@ from slamkit.summary import Assessment, assess, write_figure, write_json, write_
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from slamkit.study import Study
+
 DEMO_SEED = 1
 MODELS_FILE = "models.json"
 FIGURES = (".png", ".pdf", ".svg")  # what slamkit.plots.save writes
@@ -290,6 +292,70 @@ def simulate_world(
     log = simulate(made, np.random.default_rng(seed))
     _write_log(out, made, log)
     _print(quiet, f"{len(log)} steps and {len(log.observations)} sightings are in {out}")
+
+
+@app.command("compare", epilog="Example: slamkit compare --world loop --filters ekf,fej,ideal --runs 10 --out study")
+def compare_filters(
+    world: Annotated[
+        str,
+        typer.Option("--world", metavar="WORLD", help=f"One of {', '.join(WORLDS)}, or a folder of CSV files."),
+    ],
+    filters: Annotated[
+        str, typer.Option("--filters", metavar="A,B,…", help=f"Estimators, out of {', '.join(FILTERS)}.")
+    ] = "ekf,fej,oc,invariant,iterated,ideal,ukf",
+    runs: Annotated[
+        int | None, typer.Option("--runs", metavar="M", min=1, help="Simulated runs; 50 by default. A log is one run.")
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", metavar="S", min=0, help="The same seed gives the same runs.")] = 0,
+    jobs: Annotated[int, typer.Option("--jobs", metavar="J", help="Worker processes; -1: one a core.")] = -1,
+    json_: Json = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Write report.md and figures; keep the runs, to resume from."),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare filters on the same runs: accuracy, consistency, and what they claim to know of their gauge."""
+    from slamkit.study import compare
+
+    names = [name.strip() for name in filters.split(",") if name.strip()]
+    for name in names:
+        _known(name)
+    models: dict[str, Any] = {}
+    source: World | Log
+    if world in WORLDS:
+        source = WORLDS[world]()
+    elif Path(world).is_dir():
+        source, columns, file = Log.read_csv(world), csv_columns(world), _read_models(Path(world) / MODELS_FILE)
+        models = {
+            "motion": _choose("motion", MOTIONS, columns[0], None, None, file.motion),
+            "sensor": _choose("sensor", SENSORS, columns[1], None, None, file.sensor),
+            "pose": file.start.pose,
+            "pose_covariance": file.start.pose_covariance,
+            "options": {"order": file.start.order, "gate": file.start.gate},
+        }
+    else:
+        raise InputError(f"world is {world!r}, expected one of {', '.join(WORLDS)} or a folder of CSV files")
+    with _bar(quiet, BarColumn()) as bar:
+        task = bar.add_task("runs", total=None)
+        study = compare(
+            names,
+            source,
+            runs,
+            seed,
+            jobs=jobs,
+            folder=None if out is None else out / "runs",
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            **models,
+        )
+    if json_ is not None:
+        write_json(json_, study.summary())
+    if out is not None:
+        (out / "report.md").write_text(study.report(), encoding="utf-8")
+        write_json(out / "summary.json", study.summary())
+        for name, figure in study.figures().items():
+            write_figure(out / f"{name}.png", figure)
+    _print(quiet, _comparison(study), *([] if out is None else [f"Report and figures are in {out}"]))
 
 
 @app.command("fetch", epilog="Example: slamkit fetch mrclam 1 --folder data")
@@ -591,6 +657,26 @@ def _table(title: str, runs: Sequence[Assessment]) -> Table:
     ]
     for name, values, beside in rows:
         table.add_row(name, *map(_number, values), _number(beside))
+    return table
+
+
+def _comparison(study: Study) -> Table:
+    """One filter a row."""
+    table = Table(title=f"{study.world}, {study.runs} run{'' if study.runs == 1 else 's'}")
+    table.add_column("")
+    columns = {
+        "position RMSE [m]": "position_rmse_m",
+        "heading RMSE [deg]": "heading_rmse_deg",
+        "pose NEES (3)": "pose_nees",
+        "relative NEES a dof (1)": "relative_nees_per_dof",
+        "nullity (3)": "nullity",
+        "diverged": "diverged",
+    }
+    for title in columns:
+        table.add_column(title, justify="right")
+    for name, numbers in study.summary().items():
+        values = [numbers[key] for key in columns.values()]
+        table.add_row(name, *[str(v) if isinstance(v, int) else _number(v) for v in values])
     return table
 
 
