@@ -775,3 +775,62 @@ def test_demo(tmp_path: Path) -> None:
     succeeds("run", "csv", out / "log", "--json", tmp_path / "again.json")
     again = strict_json(tmp_path / "again.json")
     assert again | {"seconds": 0} == got | {"seconds": 0}
+
+
+COMPARED = {
+    "pose_nees", "pose_nees_median", "pose_nees_above_6", "position_rmse_m", "heading_rmse_deg", "landmark_nees",
+    "landmark_rmse_m", "relative_nees_per_dof", "nullity", "gauge_deviation_drop", "stochastic_gauge_m", "equivariance",
+    "seconds_per_step", "diverged", "runs", "pose_nees_low", "pose_nees_high",
+}  # fmt: skip
+
+
+def test_compare_writes_numbers_report_and_figures(tmp_path: Path) -> None:
+    out, numbers, again = tmp_path / "study", tmp_path / "numbers.json", tmp_path / "again.json"
+    arguments = [
+        "compare",
+        "--world",
+        "lesson",
+        "--filters",
+        "ekf,fej,ideal",
+        "--runs",
+        "2",
+        "--seed",
+        "3",
+        "--jobs",
+        "1",
+    ]
+    assert "fej" in succeeds(*arguments, "--out", out, "--json", numbers)
+    got = json.loads(numbers.read_text())
+    assert list(got) == ["ekf", "fej", "ideal"]
+    assert all(set(row) >= COMPARED for row in got.values())
+    assert got["ekf"]["nullity"] == 2
+    assert got["fej"]["nullity"] == got["ideal"]["nullity"] == 3
+    assert {"report.md", "overview.png", "nees.png", "gauge.png"} <= {p.name for p in out.iterdir()}
+    assert "fej" in (out / "report.md").read_text()
+    succeeds(*arguments, "--json", again)
+    for name, row in json.loads(again.read_text()).items():
+        timed = {"seconds_per_step", "seconds_per_step_se"}
+        assert {k: v for k, v in row.items() if k not in timed} == {k: got[name][k] for k in row if k not in timed}
+
+
+def test_compare_takes_a_folder_of_csv_files(tmp_path: Path) -> None:
+    log, numbers = tmp_path / "log", tmp_path / "numbers.json"
+    succeeds("simulate", "lesson", "--seed", 1, "--out", log)
+    succeeds("compare", "--world", log, "--filters", "ekf,invariant", "--jobs", 1, "--json", numbers)
+    got = json.loads(numbers.read_text())
+    assert got["ekf"]["runs"] == 1
+    assert got["invariant"]["position_rmse_m"] > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--world", "moon"], "moon"),
+        (["--world", "loop", "--filters", "ekf,magic"], "magic"),
+        (["--world", "loop", "--filters", ""], "filter"),
+        (["--world", "loop", "--jobs", "0"], "jobs"),
+        (["--world", "loop", "--runs", "0"], "runs"),
+    ],
+)
+def test_compare_refuses_in_one_line(arguments: list[str], said: str) -> None:
+    assert said in fails("compare", *arguments)
