@@ -143,6 +143,10 @@ def nullity(filter: LandmarkFilter, log: Log, tolerance: float = 1e-6) -> Nullit
     """
     if not 0 < tolerance < 1:
         raise InputError(f"tolerance is {tolerance}, expected a share of the largest singular value in (0, 1)")
+    if not filter._linearises_in_world():
+        raise InputError(
+            f"the nullity of {filter.name} cannot be recorded: it needs sparse Jacobians in the frame of the world"
+        )
     f, sightings = _recording(filter)
     D = f.dim_x + 2 * sum(i not in f.landmarks for i in log.landmark_ids)
     Phi, rows = np.eye(D), [np.zeros((0, D))]

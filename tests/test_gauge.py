@@ -570,3 +570,11 @@ def test_maps_too_small_and_shapes_that_do_not_fit() -> None:
         gauge.equivariance(FILTERS["ekf"], f.motion, f.sensor, log, (0.0, 1.0))
     with pytest.raises(InputError, match="deviations"):
         gauge.gauge_drop([[1.0]])
+
+
+@pytest.mark.parametrize("name", ["ukf-full", "robocentric"])
+def test_a_nullity_that_cannot_be_recorded_is_refused(name: str) -> None:
+    world = gauge.observability_world()
+    f = FILTERS[name](world.motion, world.sensor, world.pose, world.pose_covariance)
+    with pytest.raises(InputError, match=f"nullity of {name} cannot be recorded"):
+        gauge.nullity(f, simulate(world, np.random.default_rng(0)))

@@ -381,6 +381,10 @@ class LandmarkFilter:
         """Points (D,) at which the Jacobians take their lever arms; the entry of the heading means nothing."""
         return np.array(getattr(self._belief.state, self.feet)[: self._belief.dim])
 
+    def _linearises_in_world(self) -> bool:
+        """Whether a step leaves the F and the sparse H that it used, in the frame of the world."""
+        return self.base == 3
+
     def _mean(self) -> Array:
         """Mean (D,) in standard coordinates; a copy."""
         return self._belief.mean
