@@ -152,7 +152,9 @@ def test_console_script_starts_quickly_and_without_heavy_imports() -> None:
 def test_ctrl_c_of_a_process_exits_with_130() -> None:
     code = (
         "import os, signal; from slamkit import cli\n"
-        "def interrupt(*a, **k): os.kill(os.getpid(), signal.SIGINT); signal.pause()\n"
+        # A shell's background job ignores the signal, and so would its children.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "def interrupt(*a, **k): os.kill(os.getpid(), signal.SIGINT); __import__('time').sleep(20)\n"
         "cli.simulate = interrupt\n"
         "import sys; sys.argv = ['slamkit', 'simulate', 'loop', '--out', 'never-written']; cli.main()"
     )
@@ -166,7 +168,7 @@ def test_ctrl_c_of_a_process_exits_with_130() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [(), ("demo",), ("run",), ("run", "mrclam"), ("run", "csv"), ("simulate",), ("fetch",)]
+    "command", [(), ("demo",), ("run",), ("run", "mrclam"), ("run", "csv"), ("simulate",), ("fetch",), ("compare",)]
 )
 def test_every_help_has_an_example_that_begins_with_the_command(command: tuple[str, ...]) -> None:
     text = " ".join(succeeds(*command, "--help").split())

@@ -419,9 +419,11 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         """Regression of f over sigma points x ± s·columns, x being the mean by default."""
         x, memory, n = self._belief.mean if x is None else x, self._belief.state.memory, columns.shape[1]
         steps_ = spread(memory, n) * columns.T
-        centre = f(x)
-        plus = np.array([subtract(f(x + d), centre) for d in steps_])
-        minus = np.array([subtract(f(x - d), centre) for d in steps_])
+        # Bad input makes NaN here, which the caller refuses; NumPy need not warn of it as well.
+        with np.errstate(invalid="ignore"):
+            centre = f(x)
+            plus = np.array([subtract(f(x + d), centre) for d in steps_])
+            minus = np.array([subtract(f(x - d), centre) for d in steps_])
         r = plus.shape[1]
         fit = Fit(centre, np.empty(r), np.empty((r, n)), np.empty((r, r)))
         moments(plus, minus, fit.half, fit.error, fit.mean, memory, r, n)
