@@ -83,7 +83,9 @@ class ObservabilityConstrainedUKFSLAM(UKFSLAM):
     Notes
     -----
     Each measurement's regression matrix is projected onto the complement of the three directions that no measurement
-    sees, restricted to the pose and the landmark at hand and carried through the prediction's regressions.
+    sees, restricted to the pose and the landmark at hand and carried through the prediction's regressions. The
+    projection changes the columns of the positions as well as that of the heading, so the filter is not the Kalman
+    filter where everything is linear; all others of the family are.
 
     References
     ----------

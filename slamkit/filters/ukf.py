@@ -388,7 +388,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         if z is None:
             super().update(None, at, at)
             return
-        columns = self._columns()
+        columns = self._columns(PROBE)
         fit = self._fit(at, lambda a, b: np.atleast_1d(residual(a, b)), columns)
         r = len(fit.error)
         noise = self.R if R is None else np.eye(r) * float(R) if np.ndim(R) == 0 else np.asarray(R)  # type: ignore[arg-type]
@@ -402,15 +402,15 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
 
     # -- sigma points over the whole state ----------------------------------------------------------------------------
 
-    def _columns(self) -> Array:
-        """Root (D, D) of P, taken in robot axes."""
+    def _columns(self, floor: float = 0.0) -> Array:
+        """Root (D, D) of P, taken in robot axes; a floor makes it invertible, for a regression and nothing else."""
         D = self.dim_x
         T = np.eye(D)
         C = se2.rotation(self._belief.state.mean[2])
         for k in (0, *range(3, D, 2)):
             T[k : k + 2, k : k + 2] = C
         L = np.empty((D, D))
-        root(np.ascontiguousarray(T.T @ self._belief.covariance @ T), L, D, PROBE)
+        root(np.ascontiguousarray(T.T @ self._belief.covariance @ T), L, D, floor)
         return np.asarray(T @ L)
 
     def _fit(
@@ -519,7 +519,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         pose[2] = se2.wrap(pose[2])
         state.mean[:3] = pose
         belief.covariance = (P + P.T) / 2
-        state.F[:] = np.linalg.solve(columns[:3, :3].T, fit.half[:, :3].T).T
+        state.F[:] = fit.half[:, :3] @ np.linalg.pinv(columns[:3, :3])
         state.Q[:] = noise + fit.half[:, D:] @ fit.half[:, D:].T
         return True
 
