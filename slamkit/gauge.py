@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from slamkit import se2
+from slamkit.checks import finite_array
 from slamkit.compiled import Models
 from slamkit.consistency import ATOL, nees
 from slamkit.errors import DivergenceError, InputError
@@ -262,7 +263,7 @@ def gauge_drop(deviations: ArrayLike) -> float:
     InputError
         Not one row of finite numbers.
     """
-    d = _finite("deviations", deviations, (-1,))
+    d = finite_array("deviations", deviations, (-1,))
     return float(np.max(np.maximum.accumulate(d) - d, initial=0.0))
 
 
@@ -365,9 +366,9 @@ def equivariance(
     -----
     Deterministic equivariance; Barrau & Bonnabel, arXiv:1510.06263 (2015). The EKF of equivariant models has it.
     """
-    t = _finite("T", T, (3,))
-    start = _finite("pose", pose, (3,))
-    P0 = np.zeros((3, 3)) if pose_covariance is None else _finite("pose_covariance", pose_covariance, (3, 3))
+    t = finite_array("T", T, (3,))
+    start = finite_array("pose", pose, (3,))
+    P0 = np.zeros((3, 3)) if pose_covariance is None else finite_array("pose_covariance", pose_covariance, (3, 3))
     A = _rotations(t[2], 0)
     a = filter_class(motion, sensor, start, P0, **options)
     moved: dict[str, Any] = {n: _moved(t, v) if isinstance(v, Truth) else v for n, v in options.items()}
@@ -420,11 +421,11 @@ def nees_split(filter: LandmarkFilter, truth_pose: ArrayLike, truth_landmarks: M
     A claimed gauge covariance that is singular (P₀ = 0) counts on its eigenspace only: see `gauge_dof`. Directions
     below the rounding of its computation, 1e-8 of the pose's deviation, count as known exactly.
     """
-    X = _finite("truth_pose", truth_pose, (3,))
+    X = finite_array("truth_pose", truth_pose, (3,))
     missing = [i for i in filter.landmark_ids if i not in truth_landmarks]
     if missing:
         raise InputError(f"truth_landmarks lack {missing[0]!r}, which is in the map, and {len(missing) - 1} more")
-    places = [_finite(f"truth of landmark {i!r}", truth_landmarks[i], (2,)) for i in filter.landmark_ids]
+    places = [finite_array(f"truth of landmark {i!r}", truth_landmarks[i], (2,)) for i in filter.landmark_ids]
     truth = np.concatenate([X, *places])
     r = (_seen_by_robot(truth) - _seen_by_robot(filter.x)).ravel()
     e = np.concatenate([se2.log(se2.between(filter.pose, X)), r])
@@ -499,7 +500,7 @@ def lower_bound_gap(filter: LandmarkFilter, pose_covariance: ArrayLike, pose: Ar
     Dissanayake, Newman, Clark, Durrant-Whyte & Csorba, IEEE Trans. Robotics and Automation 17(3) (2001), theorem 3,
     for a heading that is uncertain as well.
     """
-    P0, start = _finite("pose_covariance", pose_covariance, (3, 3)), _finite("pose", pose, (3,))
+    P0, start = finite_array("pose_covariance", pose_covariance, (3, 3)), finite_array("pose", pose, (3,))
     if not filter.landmark_ids:
         raise InputError("the map is empty, expected at least one landmark")
     A0 = null_directions(filter)[3:]
@@ -598,17 +599,3 @@ def _rotations(angle: float, N: int) -> Array:
 def _moved(t: Array, truth: Truth) -> Truth:
     landmarks: dict[Hashable, Array] = {i: se2.transform(t, p) for i, p in truth.landmarks.items()}
     return replace(truth, poses=se2.compose(t, truth.poses), landmarks=landmarks)
-
-
-def _finite(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """`value` as a finite array of that shape, -1 standing for any length."""
-    try:
-        a = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be numbers: {error}") from None
-    if a.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, a.shape, strict=True)):
-        wanted = str(tuple("K" if n == -1 else n for n in shape)).replace("'", "")
-        raise InputError(f"{name} has shape {a.shape}, expected {wanted}")
-    if not np.all(np.isfinite(a)):
-        raise InputError(f"{name} is {a}, expected finite numbers")
-    return a

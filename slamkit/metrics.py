@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit import se2
+from slamkit.checks import finite_array
 from slamkit.errors import InputError, ModelError
 from slamkit.logs import Log, Truth
 from slamkit.protocols import MotionModel
@@ -317,15 +318,5 @@ def _rms(errors: Array) -> float | None:
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """`value` as a finite array of that shape, -1 standing for any length; an empty list fits (-1, …)."""
-    try:
-        a = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be numbers: {error}") from None
-    if a.shape == (0,) and shape[0] == -1:
-        a = a.reshape(0, *shape[1:])
-    if a.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, a.shape, strict=True)):
-        wanted = str(tuple("n" if n == -1 else n for n in shape)).replace("'", "")
-        raise InputError(f"{name} has shape {a.shape}, expected {wanted}")
-    if not np.all(np.isfinite(a)):
-        raise InputError(f"{name} is not finite at row {int(np.argwhere(~np.isfinite(a))[0][0])}")
-    return a
+    nothing = shape[0] == -1 and isinstance(value, Sequence | np.ndarray) and np.array_equal(value, [])
+    return finite_array(name, np.empty((0, *shape[1:])) if nothing else value, shape)

@@ -8,8 +8,9 @@ from math import inf, pi
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from slamkit.checks import finite_array
 from slamkit.errors import InputError, ModelError
 from slamkit.logs import Log, Truth
 from slamkit.models import EulerUnicycle, RangeBearing, RelativePosition, Unicycle
@@ -82,15 +83,15 @@ class World:
     increments: bool = False
 
     def __post_init__(self) -> None:
-        landmarks = {i: _array(f"landmark {i!r}", p, (2,)) for i, p in self.landmarks.items()}
-        controls = _array("controls", self.controls, (-1, -1))
+        landmarks = {i: finite_array(f"landmark {i!r}", p, (2,)) for i, p in self.landmarks.items()}
+        controls = finite_array("controls", self.controls, (-1, -1))
         if len(controls) == 0:
             raise InputError(f"controls have shape {controls.shape}, expected at least one row")
         for name, value in (
             ("landmarks", landmarks),
             ("controls", controls),
-            ("pose", _array("pose", self.pose, (3,))),
-            ("pose_covariance", _array("pose_covariance", self.pose_covariance, (3, 3))),
+            ("pose", finite_array("pose", self.pose, (3,))),
+            ("pose_covariance", finite_array("pose_covariance", self.pose_covariance, (3, 3))),
         ):
             object.__setattr__(self, name, value)
         try:
@@ -234,20 +235,6 @@ def _root(covariance: Array) -> Array:
         raise ValueError(f"is not positive semidefinite: its smallest eigenvalue is {values[0]:.3g}")
     root: Array = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     return root
-
-
-def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """`value` as a finite array of that shape, -1 standing for any length."""
-    try:
-        a = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be numbers: {error}") from None
-    if a.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, a.shape, strict=True)):
-        wanted = str(tuple("n" if n == -1 else n for n in shape)).replace("'", "")
-        raise InputError(f"{name} has shape {a.shape}, expected {wanted}")
-    if not np.all(np.isfinite(a)):
-        raise InputError(f"{name} is not finite: {a[tuple(np.argwhere(~np.isfinite(a))[0])]} is in it")
-    return a
 
 
 def lesson_world() -> World:
