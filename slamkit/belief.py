@@ -1,25 +1,77 @@
 """The growing Gaussian over a base vector (a pose) and blocks of two (landmarks).
 
 It knows linear algebra and nothing of robots. One triangle of the covariance is kept; no operation forms a dense
-transition, observation or I - KH matrix.
+transition, observation or I - KH matrix. A small belief is all active. In a large one only what was touched since the
+last flush is, and the rest is corrected at the next: `slamkit.kernels` has the equations.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Hashable, Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dgemm
 
 from slamkit import kernels
-from slamkit.compiled import State
-from slamkit.errors import DivergenceError, InputError
+from slamkit.compiled import Compiled, State
+from slamkit.errors import DivergenceError, InputError, MemoryCapError
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 BASE, BLOCK = 3, 2  #: dimensions of the base that a transition moves, and of one block
+PANEL = kernels.PANEL
+
+#: What a multiply-add of a flush costs beside one of a small update, and what a flush costs besides, in the latter.
+FLUSH_RATE, FLUSH_START = 0.15, 3e5
+
+
+@dataclass(frozen=True)
+class Storage:
+    """How a filter keeps a large covariance; nothing here changes what it says.
+
+    Parameters
+    ----------
+    compress_above : int
+        Landmarks above which corrections of what is not in sight are postponed to a flush. A variant whose every
+        update moves every landmark never postpones.
+    flush_work : float, optional
+        Multiply-adds that one step may spend on a flush, which is then spread over as many steps as it needs; None
+        does it whole, at once. A core does some 10 to 40 multiply-adds in a nanosecond.
+    memory_cap : float, optional
+        Bytes that a covariance may take; None: four fifths of the machine's memory.
+
+    Raises
+    ------
+    InputError
+        A number is not positive.
+    """
+
+    compress_above: int = 100
+    flush_work: float | None = None
+    memory_cap: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("flush_work", self.flush_work), ("memory_cap", self.memory_cap)):
+            if value is not None and not value > 0:
+                raise InputError(f"{name} is {value!r}, expected None or a number > 0")
+        if not self.compress_above >= 0:
+            raise InputError(f"compress_above is {self.compress_above!r}, expected a number of landmarks ≥ 0")
+
+    def afford(self, size: int, what: str) -> None:
+        """Raise MemoryCapError unless `size` bytes are within the cap."""
+        cap = self.memory_cap
+        if cap is None:
+            cap = 0.8 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        if size > cap:
+            raise MemoryCapError(
+                f"{what} takes {size / 1e9:.3g} GB, the cap is {cap / 1e9:.3g} GB: Storage(memory_cap=…) sets it"
+            )
 
 
 class Belief:
@@ -35,6 +87,8 @@ class Belief:
         Rows k of one block's observation, which the workspace is laid out for.
     control_dim : int
         Length m of a control, likewise.
+    storage : Storage
+        How a large covariance is kept.
 
     Attributes
     ----------
@@ -50,35 +104,66 @@ class Belief:
     Storage grows geometrically: appending a block costs amortised O(D).
     """
 
-    def __init__(self, mean: ArrayLike, covariance: ArrayLike, rows: int = 2, control_dim: int = 2) -> None:
+    def __init__(
+        self,
+        mean: ArrayLike,
+        covariance: ArrayLike,
+        rows: int = 2,
+        control_dim: int = 2,
+        storage: Storage | None = None,
+    ) -> None:
         self.slots: dict[Hashable, int] = {}
+        self.storage = Storage() if storage is None else storage
         self._k, self._m = rows, control_dim
         start = np.asarray(mean, dtype=float)
         self.base = b = len(start)
+        #: L⁻¹ H P (r, D) of the last update, once the active part no longer holds it.
+        self._whole_w: Array | None = None
         kept = {"mean": start, "points": start, "cov": np.tril(np.asarray(covariance, dtype=float))}
-        kept |= {"memory": np.zeros(6), "size": np.array([b, 0, 0, 0, 0], dtype=np.int64)}
-        self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8)
+        kept |= {"memory": np.zeros(6), "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0], dtype=np.int64)}
+        kept |= {"owner": np.arange(b), "local": np.arange(b), "work": self._terms()}
+        self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, whole=b + 8 * BLOCK)
 
-    def _lay_out(self, kept: dict[str, Any], capacity: int, sightings: int) -> None:
-        """Arrays of the given capacity that hold what is kept."""
+    def _terms(self) -> Array:
+        """Debt, price of a flush per D² and besides, most columns, size from which the belief compresses."""
+        above = self.storage.compress_above
+        return np.array([0.0, FLUSH_RATE / 2, FLUSH_START, np.inf, self.base + BLOCK * above])
+
+    def _lay_out(self, kept: dict[str, Any], capacity: int, sightings: int, columns: int, whole: int) -> None:
+        """Arrays of the given capacities that hold what is kept."""
         k, m, rows = self._k, self._m, max(self._k * sightings, int(kept["size"][1]))
         D = int(kept["size"][0])
+        self.storage.afford(8 * capacity * D, f"the covariance of {(D - self.base) // BLOCK} active landmarks")
 
-        def copied(name: str, shape: tuple[int, ...]) -> Array:
-            out = np.zeros(shape)
+        def copied(name: str, shape: tuple[int, ...], fill: float = 0.0) -> Any:
             old = kept.get(name, np.zeros((0,) * len(shape)))
+            out = np.full(shape, fill, dtype=old.dtype) if fill else np.zeros(shape, dtype=old.dtype)
             part = tuple(slice(0, min(a, b)) for a, b in zip(shape, old.shape, strict=True))
             out[part] = old[part]
             return out
 
         cov = np.zeros((capacity, capacity))
         cov[:D, :D] = kept["cov"][:D, :D]
+        nothing = np.zeros((0, 0))
         self.state = State(
             mean=copied("mean", (capacity,)),
             cov=cov,
             points=copied("points", (capacity,)),
             memory=kept["memory"],
             size=kept["size"],
+            work=kept["work"],
+            Phi=copied("Phi", (capacity if columns else 0, columns)),
+            Psi=copied("Psi", (columns, columns)),
+            theta=copied("theta", (columns,)),
+            g=copied("g", (rows, columns)),
+            columns=copied("columns", (columns,)) if "columns" in kept else np.zeros(columns, dtype=np.int64),
+            owner=copied("owner", (capacity,)),
+            local=copied("local", (whole,), fill=-1),
+            rest=kept["rest"] if "rest" in kept else np.zeros(0),
+            rest_points=kept["rest_points"] if "rest_points" in kept else np.zeros(0),
+            store=kept["store"] if "store" in kept else np.zeros(0),
+            V=kept.get("V", nothing),
+            U=kept.get("U", nothing),
             pose=np.zeros(BASE),
             F=copied("F", (BASE, BASE)) if "F" in kept else np.eye(BASE),
             Q=copied("Q", (BASE, BASE)),
@@ -89,7 +174,7 @@ class Belief:
             order=np.zeros(sightings, dtype=np.int64),
             innovations=np.zeros((sightings, k)),
             nis=np.zeros(sightings),
-            truth=np.zeros((sightings, BLOCK)),
+            truth=copied("truth", (sightings, BLOCK)),
             accepted=np.zeros(sightings, dtype=np.bool_),
             z=copied("z", (rows,)),
             z_hat=np.zeros(k),
@@ -109,10 +194,22 @@ class Belief:
             block=np.zeros((BLOCK, BLOCK)),
         )
 
+    # -- what it holds ------------------------------------------------------------------------------------------------
+
     @property
     def dim(self) -> int:
         """D = b + 2N."""
+        return int(self.state.size[6])
+
+    @property
+    def active(self) -> int:
+        """Dimension of the active part: D where nothing rests."""
         return int(self.state.size[0])
+
+    @property
+    def compressed(self) -> bool:
+        """Whether anything may rest."""
+        return bool(self.state.size[5] > 0)
 
     @property
     def ids(self) -> tuple[Hashable, ...]:
@@ -121,39 +218,207 @@ class Belief:
 
     @property
     def mean(self) -> Array:
-        """Mean (D,); a copy."""
-        return np.array(self.state.mean[: self.dim])
+        """Mean (D,); a copy, read without a flush."""
+        s, D = self.state, self.active
+        if not self.compressed:
+            return np.array(s.mean[:D])
+        out = np.zeros(self.dim)
+        out[: len(s.rest)] = s.rest[: self.dim]
+        theta = s.theta[: s.size[5]]
+        resting = np.flatnonzero(s.local[: self.dim] < 0)
+        if theta.any():
+            out[resting] += self._resting_rows(resting) @ theta
+        out[s.owner[:D]] = s.mean[:D]
+        return out
 
     @mean.setter
     def mean(self, value: Array) -> None:
-        self.state.mean[: self.dim] = value
+        self.flush()
+        self.state.mean[: self.active] = value[: self.active]
+        if self.compressed:
+            self.state.rest[: self.dim] = value
+
+    def points(self, name: str) -> Array:
+        """The array `name`, mean or points, (D,) in the order of the map; a copy."""
+        s, D = self.state, self.active
+        if name == "mean":
+            return self.mean
+        out = np.zeros(self.dim)
+        if self.compressed:
+            out[: len(s.rest_points)] = s.rest_points[: self.dim]
+        out[s.owner[:D]] = s.points[:D]
+        return out
 
     @property
     def covariance(self) -> Array:
-        """Covariance (D, D), symmetric; a copy."""
+        """Covariance (D, D), symmetric; a copy, after a flush."""
         D = self.dim
-        lower: Array = np.tril(self.state.cov[:D, :D])
-        return lower + np.tril(lower, -1).T
+        self.storage.afford(8 * D * D, f"P of {len(self.slots)} landmarks")
+        if not self.compressed:
+            lower: Array = np.tril(self.state.cov[:D, :D])
+            return lower + np.tril(lower, -1).T
+        self.flush()
+        out = np.empty((D, D))
+        kernels.expand(self.state.store, out)
+        return out
 
     @covariance.setter
     def covariance(self, value: Array) -> None:
         D = self.dim
-        self.state.cov[:D, :D] = np.tril(value)
+        if self.compressed:
+            self.flush()
+            kernels.pack(np.ascontiguousarray(value), D, self.state.store)
+            D = self.active
+        self.state.cov[:D, :D] = np.tril(value[:D, :D])
 
-    def reserve(self, blocks: int, sightings: int = 1, control_dim: int | None = None) -> None:
+    # -- room ---------------------------------------------------------------------------------------------------------
+
+    def reserve(self, blocks: int, sightings: int = 1, control_dim: int | None = None, exactly: bool = False) -> None:
         """Make room for this many further blocks, scans of this many sightings, controls of this length."""
-        need, capacity = self.dim + BLOCK * blocks, len(self.state.mean)
+        s = self.state
+        need, capacity = self.active + BLOCK * blocks, len(s.mean)
+        whole, room = self.dim + BLOCK * blocks, len(s.local)
         m = self._m if control_dim is None else control_dim
-        if need <= capacity and sightings <= len(self.state.nis) and m == self._m:
+        if need <= capacity and whole <= room and sightings <= len(s.nis) and m == self._m:
             return
         self._m = m
         while capacity < need:
-            capacity = self.base + 2 * (capacity - self.base)
-        self._lay_out(self.state.fields, capacity, max(sightings, len(self.state.nis)))
+            capacity = need if exactly else self.base + 2 * (capacity - self.base)
+        room = max(room if whole <= room else 2 * whole, capacity)
+        self._lay_out(s.fields, capacity, max(sightings, len(s.nis)), len(s.theta), room)
+
+    def widen(self, blocks: int) -> None:
+        """Make room for this many further blocks to become active."""
+        s = self.state
+
+        def grown(room: int, need: int) -> int:
+            return room if need <= room else max(need, 3 * room // 2)
+
+        capacity = grown(len(s.mean), self.active + BLOCK * blocks)
+        columns = grown(len(s.theta), int(s.size[5]) + BLOCK * blocks) if self.compressed else 0
+        room = max(grown(len(s.local), self.dim + BLOCK * blocks), capacity)
+        self._lay_out(s.fields, capacity, len(s.nis), columns, room)
 
     def register(self, block_id: Hashable, slot: int) -> None:
         """Name the block that compiled code appended at `slot`."""
         self.slots[block_id] = slot
+
+    # -- what rests ---------------------------------------------------------------------------------------------------
+
+    def tend(self) -> None:
+        """What a step asks for when it returns `DUE`: begin to compress, begin a flush, or go on with one."""
+        if self._pending:
+            self._correct_rows(self.storage.flush_work)
+        else:
+            self._begin_flush()
+            if self.storage.flush_work is None:
+                self._correct_rows(None)
+
+    def flush(self) -> None:
+        """Bring everything that rests up to date; then only the base is active. Nothing where nothing rests."""
+        if self.compressed:
+            self._correct_rows(None)
+            if self.active > BASE or not self._rested:
+                self._begin_flush()
+                self._correct_rows(None)
+
+    @property
+    def _pending(self) -> bool:
+        return bool(self.state.V.shape[1])
+
+    @property
+    def _rested(self) -> bool:
+        """Whether the base's rows in the store are as they are now."""
+        s = self.state
+        here = [s.store[kernels.place(i, j)] for i in range(BASE) for j in range(i + 1)]
+        now = [s.cov[i, j] for i in range(BASE) for j in range(i + 1)]
+        still = bool(np.array_equal(s.Phi[:BASE, :BASE], np.eye(BASE)))
+        return still and here == now and bool(np.array_equal(s.rest[:BASE], s.mean[:BASE]))
+
+    def _begin_flush(self) -> None:
+        """Move what is active, but for the base, to what rests; the correction of the rest is pending then."""
+        s, D, whole, C = self.state, self.active, self.dim, int(self.state.size[5])
+        self._keep_gain()
+        self._grow_store(whole)
+        s = self.state
+        owner = s.owner[:D].copy()
+        if C == 0:
+            kernels.pack(s.cov, D, s.store)
+            s.rest[:D], s.rest_points[:D] = s.mean[:D], s.points[:D]
+        else:
+            V = np.zeros((-(-whole // PANEL) * PANEL, C))
+            kernels.collect(s, V[:whole])
+            Psi = np.tril(s.Psi[:C, :C])
+            Psi += np.tril(Psi, -1).T
+            s.rest[:whole] += V[:whole] @ s.theta[:C]
+            kernels.deposit(s, V[:whole] @ s.Phi[:D, :C].T)
+            s.rest[owner], s.rest_points[owner] = s.mean[:D], s.points[:D]
+            V[owner] = 0.0
+            s.replace(V=V, U=V @ Psi)
+            s.size[7] = 0
+        if len(s.theta) < BASE:
+            kept = {**s.fields, "cov": s.cov[:BASE, :BASE]}
+            kept["size"][0] = BASE
+            capacity = BASE + 8 * BLOCK * max(4, len(s.nis) // 4)
+            self._lay_out(kept, capacity, len(s.nis), capacity, len(s.local))
+            s = self.state
+        s.local[owner] = -1
+        s.local[:BASE] = s.owner[:BASE] = s.columns[:BASE] = np.arange(BASE)
+        s.size[0] = s.size[5] = BASE
+        s.Phi[:BASE, :BASE], s.Psi[:BASE, :BASE], s.theta[:BASE] = np.eye(BASE), 0.0, 0.0
+        s.work[0] = 0.0
+        if self.storage.flush_work is not None:
+            # So that the beginning of the next flush is within the work of a step as well.
+            s.work[3] = max(4 * BASE, np.sqrt(self.storage.flush_work / (6 * whole)))
+
+    def _grow_store(self, whole: int) -> None:
+        """Make the store and the vectors beside it as long as the map; the store never moves through a copy."""
+        s = self.state
+        panels = -(-whole // PANEL)
+        length = PANEL * PANEL * panels * (panels + 1) // 2
+        if length > len(s.store):
+            self.storage.afford(8 * length, f"the covariance of {(whole - self.base) // BLOCK} landmarks")
+            s.store.resize(length, refcheck=False)
+            rest, points = np.zeros(PANEL * panels), np.zeros(PANEL * panels)
+            rest[: len(s.rest)], points[: len(s.rest)] = s.rest, s.rest_points
+            s.replace(store=s.store, rest=rest, rest_points=points)
+
+    def _correct_rows(self, work: float | None) -> None:
+        """P_bb ← P_bb - Mᵀ Ψ M, panel by panel from ``size[7]`` on, until the work is spent."""
+        s = self.state
+        rank, whole = s.V.shape[1], len(s.V)
+        if rank == 0:
+            return
+        spent = 0.0
+        while s.size[7] < whole and (work is None or spent < work):
+            row = int(s.size[7])
+            width = row + PANEL
+            start = kernels.place(row, 0)
+            panel = s.store[start : start + PANEL * width].reshape(PANEL, width)
+            # BLAS sees the transpose, (width, PANEL) in its own order, and works in place.
+            dgemm(-1.0, s.U[:width].T, s.V[row:width].T, 1.0, panel.T, trans_a=True, overwrite_c=True)
+            s.size[7] = width
+            spent += PANEL * width * rank
+        if s.size[7] >= whole:
+            s.replace(V=np.zeros((0, 0)), U=np.zeros((0, 0)))
+
+    def _entries(self, i: Indices, j: Indices) -> Array:
+        """P⁰[i, j] (element by element, broadcast), as the last flush leaves it."""
+        s = self.state
+        i, j = np.maximum(i, j), np.minimum(i, j)
+        p = i // PANEL
+        out: Array = s.store[PANEL * (p + 1) * (i - PANEL // 2 * p) + j]
+        if self._pending:
+            late = i >= s.size[7]
+            out[late] -= np.einsum("nr,nr->n", s.V[i[late]], s.U[j[late]])
+        return out
+
+    def _resting_rows(self, at: Indices) -> Array:
+        """P⁰[at, A₀] (len(at), C)."""
+        columns = self.state.columns[: self.state.size[5]]
+        return self._entries(*np.broadcast_arrays(at[:, None], columns[None]))
+
+    # -- the cycle ----------------------------------------------------------------------------------------------------
 
     def propagate(self, base: ArrayLike, F: ArrayLike, Q: ArrayLike) -> None:
         """First three of the base ← `base` (3,), P ← F P Fᵀ + Q with F, Q (3, 3) on their rows; O(D)."""
@@ -170,8 +435,23 @@ class Belief:
         DivergenceError
             S = H P Hᵀ + R is not positive definite; nothing has changed.
         """
-        PHt = self.covariance @ H.T
+        PHt = self._times(H.T)
         self.gain_of(PHt, H @ PHt + R, y)
+
+    def _times(self, X: Array) -> Array:
+        """P X (D, r); of what rests, panel by panel."""
+        if not self.compressed:
+            return np.asarray(self.covariance @ X)
+        self.flush()
+        D, out = self.dim, np.zeros(X.shape)
+        for row in range(0, D, PANEL):
+            end = min(row + PANEL, D)
+            start = kernels.place(row, 0)
+            panel = self.state.store[start : start + PANEL * (row + PANEL)].reshape(PANEL, -1)[: end - row, :end]
+            square = np.tril(panel[:, row:])
+            out[row:end] += panel[:, :row] @ X[:row] + (square + np.tril(square, -1).T) @ X[row:end]
+            out[:row] += panel[:, :row].T @ X[row:end]
+        return out
 
     def gain_of(self, cross: Array, S: Array, y: Array) -> None:
         """Prepare the update from the cross-covariance (D, r) of state and observation, and S (r, r)."""
@@ -183,55 +463,117 @@ class Belief:
         self.reserve(0, sightings=-(-rows // self._k))
         s = self.state
         s.S[:rows, :rows], s.L[:rows, :rows], s.y[:rows] = S, L, y
-        s.w[:rows, :D] = solve_triangular(L, cross.T, lower=True)
+        w = solve_triangular(L, cross.T, lower=True)
         s.t[:rows] = solve_triangular(L, y, lower=True)
-        s.size[1], s.size[2] = rows, D
-        kernels.correction(s, rows)
+        s.size[1] = rows
+        if self.compressed:
+            self._whole_w, s.size[2] = w, -1
+        else:
+            s.w[:rows, :D], s.size[2] = w, D
+            kernels.correction(s, rows)
+
+    def correct(self, retract: Compiled) -> None:
+        """Carry out the update that `gain` or `gain_of` prepared: P ← P - wᵀw, and `retract` moves the mean."""
+        s, rows = self.state, int(self.state.size[1])
+        if not self.compressed:
+            kernels.downdate(s, rows)
+            retract(s)
+            return
+        self.flush()
+        w = self._whole_w
+        assert w is not None
+        V = np.zeros((-(-self.dim // PANEL) * PANEL, rows))
+        V[: self.dim] = w.T
+        s.replace(V=V, U=V)
+        s.size[7] = 0
+        self._correct_rows(None)
+        dx = w.T @ s.t[:rows]
+        s.rest[: self.dim] += dx
+        s.dx[:BASE] = dx[:BASE]
+        retract(s)
+        s.rest[:BASE] = s.mean[:BASE]
+        at = np.arange(BASE)
+        s.cov[:BASE, :BASE] = self._entries(*np.broadcast_arrays(at[:, None], at[None]))
 
     def condition(self, H: ArrayLike, y: ArrayLike, R: ArrayLike) -> None:
         """Update by ``y = H δ + v``, v ~ N(0, R), with a dense H (r, D): x ← x + K y, P ← P - K S Kᵀ."""
         self.gain(np.asarray(H, dtype=float), np.asarray(y, dtype=float), np.asarray(R, dtype=float))
-        D, rows = self.dim, int(self.state.size[1])
-        kernels.downdate(self.state, rows)
-        self.state.mean[:D] += self.state.dx[:D]
+        self.correct(_add)
+
+    @property
+    def gain_rows(self) -> Array:
+        """L⁻¹ H P (r, D) of the last update, in the order of the map; zero for blocks that came after it."""
+        s, rows = self.state, int(self.state.size[1])
+        out = np.zeros((rows, self.dim))
+        D = int(s.size[2])
+        if D < 0:
+            assert self._whole_w is not None
+            out[:, : self._whole_w.shape[1]] = self._whole_w
+            return out
+        out[:, s.owner[:D]] = s.w[:rows, :D]
+        if self.compressed:
+            then = int(s.size[8])
+            rest = np.flatnonzero((s.local[:then] < 0) | (s.local[:then] >= D))
+            out[:, rest] = (self._resting_rows(rest) @ s.g[:rows, : s.size[5]].T).T
+        return out
+
+    def _keep_gain(self) -> None:
+        """Before the active part changes hands: what `gain_rows` would no longer find in it."""
+        if self.state.size[2] >= 0 and self.state.size[1] > 0:
+            self._whole_w, self.state.size[2] = self.gain_rows, -1
 
     def augment(self, block_id: Hashable, mean: ArrayLike, G: ArrayLike, noise: ArrayLike) -> None:
         """Append a block: P_ls = G P_xs, P_ll = G P_xx Gᵀ + noise, G (2, 3) on the base's first three."""
         if block_id in self.slots:
             raise InputError(f"block {block_id!r} exists already")
         self.reserve(1)
-        s, slot = self.state, self.dim
+        s, slot, whole = self.state, self.active, self.dim
         s.mean[slot : slot + BLOCK] = np.asarray(mean, dtype=float)
         s.G_pose[:], s.block[:] = np.asarray(G, dtype=float), np.asarray(noise, dtype=float)
         kernels.augment(s, slot)
-        self.register(block_id, slot)
+        self.register(block_id, whole)
 
     def append(self, mean: Array, cross: Array, block: Array) -> int:
-        """Append an unnamed block with its cross-covariance (2, D) to the whole state; its slot."""
+        """Append an unnamed block with its cross-covariance (2, D) to the whole state; its slot. Nothing may rest."""
         self.reserve(1)
         s, slot = self.state, self.dim
         s.mean[slot : slot + BLOCK] = mean
         s.cov[slot : slot + BLOCK, :slot] = cross
         s.cov[slot : slot + BLOCK, slot : slot + BLOCK] = np.tril(block)
+        s.owner[slot : slot + BLOCK] = s.local[slot : slot + BLOCK] = slot, slot + 1
         s.size[0] += BLOCK
+        s.size[6] += BLOCK
         return slot
 
     def remove(self, block_id: Hashable) -> None:
         """Marginalise a block out: its rows go, the rest of the Gaussian stays as it is; O(D²)."""
         if block_id not in self.slots:
             raise InputError(f"there is no landmark {block_id!r} in the map of {len(self.slots)}")
+        self.flush()
         slot, D, s = self.slots.pop(block_id), self.dim, self.state
         rest = np.r_[0:slot, slot + BLOCK : D]
-        lower = s.cov[np.ix_(rest, rest)]
-        s.cov[: D - BLOCK, : D - BLOCK] = lower
-        for vector in (s.mean, s.points):
-            vector[: D - BLOCK] = vector[rest]
-        s.w[:, : D - BLOCK] = s.w[:, rest]
-        s.size[0] -= BLOCK
-        s.size[2] = min(s.size[2], s.size[0]) if s.size[2] <= slot else s.size[2] - BLOCK
+        if self._whole_w is not None:
+            self._whole_w = np.delete(self._whole_w, [i for i in (slot, slot + 1) if i < self._whole_w.shape[1]], 1)
+        if self.compressed:
+            kernels.squeeze(s.store, slot, D)
+            for vector in (s.rest, s.rest_points):
+                vector[: D - BLOCK] = vector[rest]
+        else:
+            lower = s.cov[np.ix_(rest, rest)]
+            s.cov[: D - BLOCK, : D - BLOCK] = lower
+            for vector in (s.mean, s.points):
+                vector[: D - BLOCK] = vector[rest]
+            s.w[:, : D - BLOCK] = s.w[:, rest]
+            s.size[0] -= BLOCK
+            s.local[D - BLOCK : D] = -1
+            if s.size[2] >= 0:
+                s.size[2] = min(s.size[2], s.size[0]) if s.size[2] <= slot else s.size[2] - BLOCK
+        s.size[6] -= BLOCK
         self.slots = {i: k if k < slot else k - BLOCK for i, k in self.slots.items()}
 
-    def indices(self, ids: Iterable[Hashable], base: bool) -> NDArray[np.int64]:
+    # -- reading a part -----------------------------------------------------------------------------------------------
+
+    def indices(self, ids: Iterable[Hashable], base: bool) -> Indices:
         """Indices into the mean: the base first where it is asked for, then each block in the order given."""
         parts = list(range(self.base)) if base else []
         for i in ids:
@@ -241,24 +583,96 @@ class Belief:
         return np.array(parts, dtype=np.int64)
 
     def marginal(self, ids: Iterable[Hashable], base: bool = False) -> tuple[Array, Array]:
-        """Mean (d,) and covariance (d, d) of some blocks, read from the triangle without forming P."""
+        """Mean (d,) and covariance (d, d) of some blocks, read without forming P and without a flush."""
         at = self.indices(ids, base)
-        row, column = np.meshgrid(at, at, indexing="ij")
-        return self.state.mean[at], self.state.cov[np.maximum(row, column), np.minimum(row, column)]
+        mean, covariance = self._parts(at[None])
+        return mean[0], covariance[0]
+
+    def marginals(self) -> tuple[Array, Array]:
+        """Mean (N, 2) and covariance (N, 2, 2) of every block by itself, likewise."""
+        slots = np.fromiter(self.slots.values(), dtype=np.int64, count=len(self.slots))
+        return self._parts(slots[:, None] + np.arange(BLOCK))
+
+    def _parts(self, at: Indices) -> tuple[Array, Array]:
+        """Mean (n, d) and covariance (n, d, d) of n lists (n, d) of coordinates."""
+        s, i, j = self.state, at[:, :, None], at[:, None, :]
+        i, j = np.broadcast_arrays(i, j)
+        if not self.compressed:
+            return s.mean[at], s.cov[np.maximum(i, j), np.minimum(i, j)]
+        local, C = s.local[at], int(s.size[5])
+        resting = local < 0
+        # With (Φ_a, 0) for what is active and (c, 1) for what rests: P_ab = P_AA, Φ_a c_b or P⁰_bb - c_aᵀ Ψ c_b.
+        rows = np.zeros((*at.shape, C))
+        rows[resting] = self._resting_rows(at[resting])
+        active = s.Phi[np.maximum(local, 0)][:, :, :C]
+        mean = np.where(resting, 0.0, s.mean[np.maximum(local, 0)])
+        mean[resting] = s.rest[at[resting]] + rows[resting] @ s.theta[:C]
+        Psi = np.tril(s.Psi[:C, :C])
+        Psi += np.tril(Psi, -1).T
+        both, none = resting[:, :, None] & resting[:, None, :], ~resting[:, :, None] & ~resting[:, None, :]
+        out = np.einsum("nac,nbc->nab", np.where(resting[..., None], 0.0, active), rows)
+        out += out.transpose(0, 2, 1)
+        a, b = np.maximum(local[:, :, None], 0), np.maximum(local[:, None, :], 0)
+        a, b = np.broadcast_arrays(a, b)
+        out[none] = s.cov[np.maximum(a, b), np.minimum(a, b)][none]
+        out[both] = self._entries(i[both], j[both]) - (rows @ Psi @ rows.transpose(0, 2, 1))[both]
+        return mean, out
+
+    def arrays(self) -> dict[str, Array | Indices]:
+        """What `take` needs to go on bit for bit, after a flush."""
+        self.flush()
+        s, D, rows = self.state, self.active, int(self.state.size[1])
+        kept = {
+            **{n: getattr(s, n) for n in ("size", "work", "memory", "F", "Q", "rest", "rest_points", "store")},
+            **{n: getattr(s, n)[:D] for n in ("mean", "points")},
+            **{n: getattr(s, n)[:rows] for n in ("z", "y", "t")},
+            **{n: getattr(s, n)[:rows, :rows] for n in ("S", "L")},
+        }
+        return {**kept, "cov": np.tril(s.cov[:D, :D]), "w": self.gain_rows}
+
+    def take(self, ids: Iterable[Hashable], arrays: dict[str, Any]) -> None:
+        """Become the belief that `arrays` describe.
+
+        Raises
+        ------
+        ValueError
+            The arrays do not fit each other or the ids.
+        """
+        size = np.array(arrays["size"], dtype=np.int64)
+        D, whole, C, rows = int(size[0]), int(size[6]), int(size[5]), int(size[1])
+        self.slots = {i: self.base + BLOCK * n for n, i in enumerate(ids)}
+        resting = C == BASE == D and len(arrays["rest"]) >= whole
+        if self.base + BLOCK * len(self.slots) != whole or not (resting or (C == 0 and D == whole)):
+            raise ValueError(f"{len(self.slots)} landmark ids and a state of {whole}")
+        self._whole_w, size[2] = np.array(arrays["w"], dtype=float), -1
+        kept: dict[str, Any] = {n: np.array(v) for n, v in arrays.items() if n != "w"} | {"size": size}
+        local = np.full(whole, -1, dtype=np.int64)
+        local[:D] = kept["owner"] = np.arange(D)
+        if C:
+            kept |= {"Phi": np.eye(BASE), "Psi": np.zeros((BASE, BASE)), "columns": np.arange(BASE)}
+        room = BASE + 8 * BLOCK
+        sightings = max(8, -(-rows // self._k))
+        self._lay_out({**kept, "local": local}, max(D, room), sightings, room if C else 0, max(whole, room))
 
     def snapshot(self) -> dict[str, Any]:
-        """Everything that `restore` needs to bring the belief back to the bit."""
-        D = self.dim
-        whole = {n: np.array(v) for n, v in self.state.fields.items() if n not in ("cov", "gathered", "dx")}
-        return {**whole, "cov": np.array(self.state.cov[:D, :D]), "slots": dict(self.slots)}
+        """Everything that `restore` needs to bring the belief back to the bit, unless it is flushed meanwhile."""
+        D = self.active
+        fixed = ("cov", "gathered", "dx", "store", "rest", "rest_points", "V", "U")
+        whole = {n: np.array(v) for n, v in self.state.fields.items() if n not in fixed}
+        return {**whole, "cov": np.array(self.state.cov[:D, :D]), "slots": dict(self.slots), "gain": self._whole_w}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Undo everything since `snapshot`."""
         D = int(snapshot["size"][0])
-        self.slots = dict(snapshot["slots"])
+        self.slots, self._whole_w = dict(snapshot["slots"]), snapshot["gain"]
         for name, old in snapshot.items():
-            if name in ("cov", "slots"):
+            if name in ("cov", "slots", "gain"):
                 continue
             new = getattr(self.state, name)
             new[tuple(slice(0, n) for n in old.shape)] = old
         self.state.cov[:D, :D] = snapshot["cov"]
+
+
+def _add(state: State) -> None:
+    D = state.size[0]
+    state.mean[:D] += state.dx[:D]

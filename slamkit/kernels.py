@@ -1,6 +1,14 @@
 """The linear algebra under a belief: the covariance's lower triangle, and nothing of robots.
 
-``state.cov`` holds P's lower triangle; what stands above the diagonal means nothing. D = ``state.size[0]``.
+``state.cov`` holds the lower triangle of the active part P_AA; what stands above the diagonal means nothing.
+D = ``state.size[0]`` is its dimension. What is not active rests: its covariance as of the last flush is P⁰, packed in
+``state.store``, and every correction since then is kept in small matrices (Guivant & Nebot, IEEE TRA 17(3), 2001, with
+an active set that grows). With A₀ the C = ``state.size[5]`` coordinates that rested at the flush and are active now,
+b what rests still and M = P⁰[A₀, b]:
+
+    P_Ab = Φ M,    P_bb = P⁰_bb - Mᵀ Ψ M,    x_b = x⁰_b + Mᵀ ϑ.
+
+C = 0 where nothing rests: then all of this is empty, and the active part is everything, in the order of the map.
 """
 
 from __future__ import annotations
@@ -11,18 +19,29 @@ from typing import Any
 from slamkit.compiled import compiled
 
 __all__ = [
+    "activate",
     "all_finite",
     "augment",
     "cholesky",
+    "collect",
     "correction",
+    "deposit",
     "downdate",
+    "expand",
     "forward",
     "is_finite",
+    "pack",
+    "place",
     "project",
     "propagate",
+    "record",
     "shear",
+    "squeeze",
     "whiten",
 ]
+
+#: Rows of one panel of the packed triangle: panel p is a matrix (PANEL, PANEL (p + 1)), diagonal blocks are square.
+PANEL = 64
 
 
 @compiled("flag(vector)")
@@ -50,7 +69,7 @@ def propagate(state: Any) -> None:
 
     Reads ``state.F`` and ``state.Q``; Q is taken symmetric.
     """
-    cov, F, Q = state.cov, state.F, state.Q
+    cov, F, Q, Phi = state.cov, state.F, state.Q, state.Phi
     D = state.size[0]
     f00, f01, f02 = F[0, 0], F[0, 1], F[0, 2]
     f10, f11, f12 = F[1, 0], F[1, 1], F[1, 2]
@@ -70,6 +89,11 @@ def propagate(state: Any) -> None:
         c = F[i, 0] * p20 + F[i, 1] * p21 + F[i, 2] * p22
         for j in range(i + 1):
             cov[i, j] = a * F[j, 0] + b * F[j, 1] + c * F[j, 2] + Q[i, j]
+    for j in range(state.size[5]):
+        a, b, c = Phi[0, j], Phi[1, j], Phi[2, j]
+        Phi[0, j] = f00 * a + f01 * b + f02 * c
+        Phi[1, j] = f10 * a + f11 * b + f12 * c
+        Phi[2, j] = f20 * a + f21 * b + f22 * c
 
 
 @compiled("void(state, index, index)")
@@ -177,18 +201,30 @@ def whiten(state: Any, rows: int) -> None:
             out[c] *= inverse
 
 
+@compiled("void(matrix, index, vector, vector)")
+def subtract_pair(M: Any, n: int, a: Any, b: Any) -> None:
+    """Lower triangle of M (n, n) ← M - aᵀa - bᵀb, two rows at a time: each entry of a and b serves both."""
+    for i in range(0, n - 1, 2):
+        upper, lower, left, right = M[i][: i + 1], M[i + 1][: i + 1], a[: i + 1], b[: i + 1]
+        x0, y0, x1, y1 = a[i], b[i], a[i + 1], b[i + 1]
+        for j in range(i + 1):
+            upper[j] -= x0 * left[j] + y0 * right[j]
+            lower[j] -= x1 * left[j] + y1 * right[j]
+        M[i + 1, i + 1] -= x1 * x1 + y1 * y1
+    if n % 2 == 1:
+        row, left, right = M[n - 1][:n], a[:n], b[:n]
+        x0, y0 = a[n - 1], b[n - 1]
+        for j in range(n):
+            row[j] -= x0 * left[j] + y0 * right[j]
+
+
 @compiled("void(state, index)")
 def downdate(state: Any, rows: int) -> None:
     """P ← P - wᵀw, a symmetric downdate of one triangle: O(rows · D²/2)."""
     cov, w = state.cov, state.w
     D = state.size[0]
     for r in range(0, rows - 1, 2):
-        a, b = w[r], w[r + 1]
-        for i in range(D):
-            row, left, right = cov[i][: i + 1], a[: i + 1], b[: i + 1]
-            x, y = a[i], b[i]
-            for j in range(i + 1):
-                row[j] -= x * left[j] + y * right[j]
+        subtract_pair(cov, D, w[r], w[r + 1])
     if rows % 2 == 1:
         a = w[rows - 1]
         for i in range(D):
@@ -196,6 +232,45 @@ def downdate(state: Any, rows: int) -> None:
             x = a[i]
             for j in range(i + 1):
                 row[j] -= x * left[j]
+
+
+@compiled("void(state, index, index)")
+def record(state: Any, n: int, k: int) -> None:
+    """Keep what an update by n sightings of k rows says of everything that rests: O(rows · D · C).
+
+    With g = L⁻¹ H Φ: Φ ← Φ - wᵀg, Ψ ← Ψ + gᵀg, ϑ ← ϑ + gᵀt. Reads H, L, w and t of the update.
+    """
+    C, D = state.size[5], state.size[0]
+    Phi, Psi, g, L, Hp, Hl = state.Phi, state.Psi, state.g, state.L, state.H_pose, state.H_landmark
+    p0, p1, p2 = Phi[0][:C], Phi[1][:C], Phi[2][:C]
+    for r in range(n * k):
+        slot = state.slots[r // k]
+        l0, l1, out = Phi[slot][:C], Phi[slot + 1][:C], g[r][:C]
+        a, b, c, d, e = Hp[r, 0], Hp[r, 1], Hp[r, 2], Hl[r, 0], Hl[r, 1]
+        for i in range(C):
+            out[i] = a * p0[i] + b * p1[i] + c * p2[i] + d * l0[i] + e * l1[i]
+        for q in range(r):
+            factor, other = L[r, q], g[q][:C]
+            for i in range(C):
+                out[i] -= factor * other[i]
+        inverse = 1.0 / L[r, r]
+        for i in range(C):
+            out[i] *= inverse
+    theta = state.theta[:C]
+    for r in range(n * k):
+        factor, out = state.t[r], g[r][:C]
+        for i in range(C):
+            theta[i] += factor * out[i]
+        w = state.w[r]
+        for i in range(D):
+            row, x = Phi[i][:C], w[i]
+            for j in range(C):
+                row[j] -= x * out[j]
+        for i in range(C):
+            row, left = Psi[i][: i + 1], out[: i + 1]
+            x = out[i]
+            for j in range(i + 1):
+                row[j] += x * left[j]
 
 
 @compiled("void(state, index)")
@@ -213,12 +288,12 @@ def correction(state: Any, rows: int) -> None:
 
 @compiled("void(state, index)")
 def augment(state: Any, slot: int) -> None:
-    """Append two rows: P_ls = G_pose P_xs, P_ll = G_pose P_xx G_poseᵀ + block. `slot` must be D.
+    """Append two rows: P_ls = G_pose P_xs, P_ll = G_pose P_xx G_poseᵀ + block, Φ_l = G_pose Φ_x. `slot` must be D.
 
     The block is written from the new rows, never by a column assignment that would overwrite it.
     """
-    cov, G, block = state.cov, state.G_pose, state.block
-    D = state.size[0]
+    cov, G, block, Phi, size = state.cov, state.G_pose, state.block, state.Phi, state.size
+    D = size[0]
     gather(state, 0, 3)
     p0, p1, p2 = state.gathered[0][:D], state.gathered[1][:D], state.gathered[2][:D]
     for r in range(2):
@@ -228,7 +303,12 @@ def augment(state: Any, slot: int) -> None:
             row[i] = a * p0[i] + b * p1[i] + c * p2[i]
         for q in range(r + 1):
             cov[slot + r, slot + q] = row[0] * G[q, 0] + row[1] * G[q, 1] + row[2] * G[q, 2] + block[r, q]
-    state.size[0] = D + 2
+        for j in range(size[5]):
+            Phi[slot + r, j] = a * Phi[0, j] + b * Phi[1, j] + c * Phi[2, j]
+        state.owner[slot + r] = size[6]
+        state.local[size[6]] = slot + r
+        size[6] += 1
+    size[0] = D + 2
 
 
 @compiled("void(state)")
@@ -259,3 +339,159 @@ def shear(state: Any) -> None:
                 row[j] += x * right[j] + y * left[j]
     for i in range(D):
         points[i] = mean[i]
+
+
+# -- what rests -------------------------------------------------------------------------------------------------------
+
+
+@compiled("index(index, index)")
+def place(i: int, j: int) -> int:
+    """Where entry (i, j), i ≥ j, of the packed triangle stands."""
+    p = i // PANEL
+    return PANEL * (p + 1) * (i - PANEL // 2 * p) + j
+
+
+@compiled("void(state, index, vector)")
+def resting_row(state: Any, index: int, out: Any) -> None:
+    """out ← P⁰[A₀, index], as the last flush leaves it even where it is not yet written."""
+    columns, store, V, U = state.columns, state.store, state.V, state.U
+    pending = V.shape[1]
+    for c in range(state.size[5]):
+        i, j = max(columns[c], index), min(columns[c], index)
+        total = store[place(i, j)]
+        if i >= state.size[7]:
+            for r in range(pending):
+                total -= V[i, r] * U[j, r]
+        out[c] = total
+
+
+@compiled("index(state, index)")
+def activate(state: Any, slot: int) -> int:
+    """Make the landmark that rests at `slot` of the map active: O(A²); its slot among the active.
+
+    With c = P⁰[A₀, j]: P_jA = cᵀΦᵀ, P_jj = P⁰_jj - cᵀΨc, x_j = x⁰_j + cᵀϑ, Φ ← [[Φ, 0], [-cᵀΨ, I]].
+    """
+    size, cov, Phi, Psi, theta, g = state.size, state.cov, state.Phi, state.Psi, state.theta, state.g
+    D, C = size[0], size[5]
+    column, product = state.gathered[3][:C], state.gathered[4][:C]
+    for r in range(2):
+        index, new = slot + r, D + r
+        # The second coordinate comes after the first, whose column is as yet that of the identity.
+        resting_row(state, index, column)
+        for i in range(C):
+            total = 0.0
+            for j in range(i + 1):
+                total += Psi[i, j] * column[j]
+            for j in range(i + 1, C):
+                total += Psi[j, i] * column[j]
+            product[i] = total
+        state.mean[new] = state.rest[index]
+        for i in range(C):
+            state.mean[new] += column[i] * theta[i]
+        state.points[new] = state.rest_points[index]
+        for i in range(D):
+            total, row = 0.0, Phi[i][:C]
+            for j in range(C):
+                total += row[j] * column[j]
+            cov[new, i] = total
+        # P⁰[j, j] and, for the second coordinate, P⁰[j + 1, j]: both as corrected since the flush.
+        for q in range(r + 1):
+            i, j = index, slot + q
+            total = state.store[place(i, j)]
+            if i >= size[7]:
+                for p in range(state.V.shape[1]):
+                    total -= state.V[i, p] * state.U[j, p]
+            other = column if q == r else state.dx[:C]
+            for p in range(C):
+                total -= product[p] * other[p]
+            cov[new, D + q] = total
+        for j in range(C):
+            Phi[new, j] = -product[j]
+        if r == 0:
+            state.dx[:C] = column
+    for r in range(2):
+        new, at = D + r, C + r
+        for i in range(D + 2):
+            Phi[i, at] = 0.0
+        for j in range(at + 1):
+            Psi[at, j] = 0.0
+        theta[at] = 0.0
+        for q in range(g.shape[0]):
+            g[q, at] = 0.0
+        state.columns[at], state.owner[new], state.local[slot + r] = slot + r, slot + r, new
+    Phi[D, C], Phi[D + 1, C + 1] = 1.0, 1.0
+    size[0], size[5] = D + 2, C + 2
+    return D
+
+
+@compiled("void(state, matrix)")
+def collect(state: Any, V: Any) -> None:
+    """V (whole, C) ← P⁰[:, A₀]; nothing may be pending."""
+    columns, store = state.columns, state.store
+    whole = V.shape[0]
+    for c in range(V.shape[1]):
+        j = columns[c]
+        for i in range(j):
+            V[i, c] = store[place(j, i)]
+    for i in range(whole):
+        row, start = V[i], place(i, 0)
+        for c in range(V.shape[1]):
+            j = columns[c]
+            if j <= i:
+                row[c] = store[start + j]
+
+
+@compiled("void(state, matrix)")
+def deposit(state: Any, X: Any) -> None:
+    """Write P_bA = X (whole, D) and P_AA into the store; the rows of A in X are not read."""
+    owner, local, store, cov = state.owner, state.local, state.store, state.cov
+    D = state.size[0]
+    for i in range(X.shape[0]):
+        row, start = X[i], place(i, 0)
+        if local[i] < 0:
+            for a in range(D):
+                j = owner[a]
+                if j < i:
+                    store[start + j] = row[a]
+    for a in range(D):
+        i = owner[a]
+        start = place(i, 0)
+        for j in range(i):
+            if local[j] < 0:
+                store[start + j] = X[j, a]
+        for b in range(a + 1):
+            j = owner[b]
+            store[place(max(i, j), min(i, j))] = cov[a, b]
+
+
+@compiled("void(matrix, index, vector)")
+def pack(M: Any, n: int, store: Any) -> None:
+    """Pack the lower triangle of M (n, n)."""
+    for i in range(n):
+        start = place(i, 0)
+        store[start : start + i + 1] = M[i, : i + 1]
+
+
+@compiled("void(vector, matrix)")
+def expand(store: Any, M: Any) -> None:
+    """M (n, n), symmetric, ← a packed triangle, block by block so that both triangles stay in the cache."""
+    n = M.shape[0]
+    for i in range(n):
+        start = place(i, 0)
+        M[i, : i + 1] = store[start : start + i + 1]
+    for first in range(0, n, PANEL):
+        for left in range(0, first + 1, PANEL):
+            for i in range(first, min(first + PANEL, n)):
+                for j in range(left, min(left + PANEL, i)):
+                    M[j, i] = M[i, j]
+
+
+@compiled("void(vector, index, index)")
+def squeeze(store: Any, slot: int, n: int) -> None:
+    """Take rows and columns slot, slot + 1 out of a packed triangle of n rows, in place."""
+    for i in range(slot + 2, n):
+        source, target = place(i, 0), place(i - 2, 0)
+        for j in range(slot):
+            store[target + j] = store[source + j]
+        for j in range(slot + 2, i + 1):
+            store[target + j - 2] = store[source + j]

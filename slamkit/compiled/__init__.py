@@ -106,11 +106,17 @@ class Shared:
     def __getstate__(self) -> dict[str, Any]:
         return {n: v for n, v in self.__dict__.items() if n not in ("handle", "plain")}
 
+    def replace(self, **fields: Any) -> None:
+        """Let fields be these from now on."""
+        self.fields.update(fields)
+        self.__dict__.update(fields)
+        if "handle" in self.__dict__:
+            self.handle.put(**fields)
+
     @cached_property
     def handle(self) -> Any:
         """The structure that compiled functions take."""
-        make = load_structures().MAKERS[self.kind]
-        return make(**{n: getattr(v, "dispatcher", v) for n, v in self.fields.items()})
+        return load_structures().Handle(self.kind, **{n: getattr(v, "dispatcher", v) for n, v in self.fields.items()})
 
 
 class State(Shared):

@@ -1,7 +1,8 @@
-"""The types of compiled code and the three structures it shares with Python. Importing this module imports Numba.
+"""The types of compiled code and the three tables that it shares with Python. Importing this module imports Numba.
 
-A structure crosses into compiled code as one pointer, whatever it holds. That matters twice: a call with two dozen
-array arguments would cost microseconds, and a function that is passed as an argument costs 30 µs at every call.
+A table crosses into compiled code as one address, whatever it holds: fields are loaded from the memory behind it.
+That matters three times: a call with two dozen arrays would cost microseconds, a function passed as an argument costs
+30 µs at every call, and Numba's own structures count references at every load of a field.
 """
 
 # mypy: disable-error-code="misc, no-untyped-def, untyped-decorator, no-untyped-call"
@@ -11,58 +12,166 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit, types
-from numba.experimental import structref
+import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.datamodel import models as data_models
+from numba.core.datamodel import register_default
+from numba.core.imputils import lower_getattr_generic
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.extending import NativeValue, unbox
+from numba.np.arrayobj import populate_array
 
 void, real, index, flag = types.void, types.float64, types.int64, types.boolean
 vector, matrix, cube = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 integers, flags = types.int64[::1], types.boolean[::1]
 
-SHARED = {"cache": True, "error_model": "numpy"}
+WORD = 8  # bytes
+POINTER = ir.IntType(8).as_pointer()
 
 
-def function(*arguments: Any) -> types.FunctionType:
+class TableType(types.Type):
+    """Type of a table: the address of a row of words, a field after the other."""
+
+    def __init__(self, kind: str) -> None:
+        super().__init__(name=f"slamkit.{kind}")
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Type of each field, in the order of the words."""
+        return FIELDS[self.name]
+
+    def first_word(self, field: str) -> int:
+        """Where a field begins."""
+        names = list(self.fields)
+        return sum(words(self.fields[n]) for n in names[: names.index(field)])
+
+
+def words(field: Any) -> int:
+    """How many words a field takes: an array its address and its shape, a function its three addresses."""
+    return 1 + field.ndim if isinstance(field, types.Array) else 3 if isinstance(field, types.FunctionType) else 1
+
+
+@register_default(TableType)
+class TableModel(data_models.PrimitiveModel):  # type: ignore[name-defined]
+    """A table is an address."""
+
+    def __init__(self, manager: Any, table: TableType) -> None:
+        super().__init__(manager, table, ir.IntType(64))
+
+
+@infer_getattr
+class TableAttribute(AttributeTemplate):
+    """``table.field`` has the field's type."""
+
+    key = TableType
+
+    def generic_resolve(self, table: TableType, field: str) -> Any:
+        return table.fields.get(field)
+
+
+@lower_getattr_generic(TableType)
+def load_field(context: Any, builder: Any, table: TableType, address: Any, field: str) -> Any:
+    """The field as a value; an array borrows its memory, which Python keeps alive during a call."""
+    kind, first = table.fields[field], table.first_word(field)
+    base = builder.inttoptr(address, ir.IntType(64).as_pointer())
+    loaded = [builder.load(builder.gep(base, [ir.Constant(ir.IntType(64), first + k)])) for k in range(words(kind))]
+    if isinstance(kind, types.FunctionType):
+        function = cgutils.create_struct_proxy(kind)(context, builder)
+        addresses = [builder.inttoptr(word, POINTER) for word in loaded]
+        function.c_addr, function.py_addr, function.jit_addr = addresses
+        return function._getvalue()
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder)
+        itemsize = context.get_constant(types.intp, np.dtype(str(kind.dtype)).itemsize)
+        shape, strides = loaded[1:], [itemsize]
+        for extent in reversed(shape[1:]):
+            strides.insert(0, builder.mul(strides[0], extent))
+        data = builder.inttoptr(loaded[0], array.data.type)
+        populate_array(array, data=data, shape=shape, strides=strides, itemsize=itemsize, meminfo=None)
+        return array._getvalue()
+    if kind is real:
+        return builder.bitcast(loaded[0], ir.DoubleType())
+    return builder.trunc(loaded[0], ir.IntType(1)) if kind is flag else loaded[0]
+
+
+@unbox(TableType)
+def unbox_table(table: TableType, handle: Any, c: Any) -> Any:
+    """The address that a handle holds."""
+    address = c.pyapi.object_getattr_string(handle, "address")
+    value = c.pyapi.long_as_longlong(address)
+    c.pyapi.decref(address)
+    return NativeValue(value, is_error=cgutils.is_not_null(c.builder, c.pyapi.err_occurred()))
+
+
+class Handle:
+    """A table in memory.
+
+    Parameters
+    ----------
+    kind : {"state", "models", "policy"}
+    **fields
+        Its fields; arrays must be C-contiguous and stay alive as long as the handle is used.
+    """
+
+    def __init__(self, kind: str, **fields: Any) -> None:
+        table = self._numba_type_ = WORDS[kind]
+        self.fields: dict[str, Any] = {}
+        self.row = np.zeros(sum(words(field) for field in table.fields.values()), dtype=np.int64)
+        self.address = self.row.ctypes.data
+        self.put(**{name: fields[name] for name in table.fields})
+
+    def put(self, **fields: Any) -> None:
+        """Let fields be these from now on."""
+        table = self._numba_type_
+        self.fields.update(fields)
+        for name, value in fields.items():
+            row = _words_of(name, table.fields[name], value)
+            first = table.first_word(name)
+            self.row[first : first + len(row)] = row
+
+
+def _words_of(name: str, field: Any, value: Any) -> list[int]:
+    if isinstance(field, types.Array):
+        assert value.flags.c_contiguous and value.ndim == field.ndim and value.dtype == str(field.dtype), name
+        return [value.ctypes.data, *value.shape]
+    if isinstance(field, types.FunctionType):
+        result = value.get_compile_result(field.signature)
+        address = result.library.get_pointer_to_function
+        names = result.fndesc.llvm_cfunc_wrapper_name, result.fndesc.llvm_func_name
+        return [address(names[0]), id(value), address(names[1])]
+    if field is real:
+        return [int(np.array(value, dtype=np.float64).view(np.int64))]
+    return [int(value)]
+
+
+def function(*arguments: Any) -> Any:
     """Type of a function that writes into its last arguments."""
     return types.FunctionType(void(*arguments))
 
 
-@structref.register
-class StateType(types.StructRef):
-    """Belief and workspace."""
-
-
-@structref.register
-class ModelsType(types.StructRef):
-    """A motion and a sensor model."""
-
-
-@structref.register
-class PolicyType(types.StructRef):
-    """What distinguishes one estimator."""
-
-
-class StateHandle(structref.StructRefProxy):
-    """A state as Python holds it."""
-
-
-class ModelsHandle(structref.StructRefProxy):
-    """Models as Python holds them."""
-
-
-class PolicyHandle(structref.StructRefProxy):
-    """A policy as Python holds it."""
-
-
-structref.define_boxing(StateType, StateHandle)
-structref.define_boxing(ModelsType, ModelsHandle)
-structref.define_boxing(PolicyType, PolicyHandle)
-
+state, models, policy = TableType("state"), TableType("models"), TableType("policy")
 STATE_FIELDS = {
-    "mean": vector,  # (capacity,) pose, then two numbers a landmark
-    "cov": matrix,  # (capacity, capacity) lower triangle
+    "mean": vector,  # (capacity,) pose, then two numbers a landmark; of what is active
+    "cov": matrix,  # (capacity, capacity) lower triangle, likewise
     "points": vector,  # (capacity,) where the lever arms of the Jacobians are taken, if not at the mean
     "memory": vector,  # (6,) a variant's own few numbers
-    "size": integers,  # (5,) D, rows of the last update, D at the last update, failing sighting, status
+    # (9,) D of what is active; rows of the last update, D at that time; failing sighting, status; C, D of the whole map,
+    # first row of the store that a flush has yet to correct; D of the whole map at the last update
+    "size": integers,
+    "work": vector,  # (5,) what decides when to flush, see `slamkit.filters.steps.upkeep`
+    "Phi": matrix,  # (capacity, columns) Φ, see `slamkit.kernels`
+    "Psi": matrix,  # (columns, columns) lower triangle of Ψ
+    "theta": vector,  # (columns,) ϑ
+    "g": matrix,  # (rows, columns) L⁻¹ H Φ
+    "columns": integers,  # (columns,) A₀ as coordinates of the whole map
+    "owner": integers,  # (capacity,) active coordinate → coordinate of the whole map
+    "local": integers,  # (room,) coordinate of the whole map → active coordinate, or -1 where it rests
+    "rest": vector,  # (whole,) mean as of the last flush
+    "rest_points": vector,  # (whole,) likewise
+    "store": vector,  # packed covariance as of the last flush, panel after panel
+    "V": matrix,  # (whole, C) Mᵀ of a flush that is under way, without the rows that were active
+    "U": matrix,  # (whole, C) Mᵀ Ψ likewise
     "pose": vector,  # (3,) the pose that the step arrives at
     "F": matrix,  # (3, 3)
     "Q": matrix,  # (3, 3)
@@ -106,8 +215,6 @@ MODELS_FIELDS = {
     "sensor_params": vector,
     "R": matrix,
 }
-state = StateType(list(STATE_FIELDS.items()))
-models = ModelsType(list(MODELS_FIELDS.items()))
 POLICY_FIELDS = {
     "motion": function(models, state, vector, real),
     "sensor": function(models, state, vector, vector, index, vector, index),
@@ -119,51 +226,7 @@ POLICY_FIELDS = {
     "iterations": index,
     "batch": flag,
 }
-policy = PolicyType(list(POLICY_FIELDS.items()))
-
-
-@njit(state(*STATE_FIELDS.values()), **SHARED)
-def make_state(
-    mean, cov, points, memory, size, pose, F, Q, G, sigma_u, at, slots, order, innovations, nis,
-    truth, accepted, z, z_hat, y, effective, H_pose, H_landmark, noise, S, L, w, t, dx, gathered, G_pose, G_z, block,
-):  # fmt: skip
-    """The compiled twin of a state."""
-    s = structref.new(state)
-    s.mean, s.cov, s.points, s.memory, s.size = mean, cov, points, memory, size
-    s.pose, s.F, s.Q, s.G, s.sigma_u = pose, F, Q, G, sigma_u
-    s.slots, s.order, s.innovations, s.nis, s.accepted = slots, order, innovations, nis, accepted
-    s.truth = truth
-    s.at, s.z, s.z_hat, s.y, s.effective = at, z, z_hat, y, effective
-    s.H_pose, s.H_landmark, s.noise = H_pose, H_landmark, noise
-    s.S, s.L, s.w, s.t, s.dx, s.gathered = S, L, w, t, dx, gathered
-    s.G_pose, s.G_z, s.block = G_pose, G_z, block
-    return s
-
-
-@njit(models(*MODELS_FIELDS.values()), **SHARED)
-def make_models(
-    move, motion_jacobians, control_noise, pose_noise, predict, sensor_jacobians, residual, invert, inverse_jacobians,
-    motion_params, sensor_params, R,
-):  # fmt: skip
-    """The compiled twin of a pair of models."""
-    s = structref.new(models)
-    s.move, s.motion_jacobians, s.control_noise, s.pose_noise = move, motion_jacobians, control_noise, pose_noise
-    s.predict, s.sensor_jacobians, s.residual = predict, sensor_jacobians, residual
-    s.invert, s.inverse_jacobians = invert, inverse_jacobians
-    s.motion_params, s.sensor_params, s.R = motion_params, sensor_params, R
-    return s
-
-
-@njit(policy(*POLICY_FIELDS.values()), **SHARED)
-def make_policy(motion, sensor, start, scan, retract, report, gate, iterations, batch):
-    """The compiled twin of a policy."""
-    s = structref.new(policy)
-    s.motion, s.sensor, s.start, s.scan, s.retract, s.report = motion, sensor, start, scan, retract, report
-    s.gate, s.iterations, s.batch = gate, iterations, batch
-    return s
-
-
-MAKERS = {"state": make_state, "models": make_models, "policy": make_policy}
+FIELDS = {state.name: STATE_FIELDS, models.name: MODELS_FIELDS, policy.name: POLICY_FIELDS}
 WORDS = {
     "void": void, "real": real, "index": index, "flag": flag, "vector": vector, "matrix": matrix, "cube": cube,
     "integers": integers, "flags": flags, "state": state, "models": models, "policy": policy,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import asdict, replace
 from math import exp, isfinite, log, pi, sqrt
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
@@ -13,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
-from slamkit import kernels
-from slamkit.belief import BLOCK, Belief
+from slamkit.belief import BLOCK, Belief, Storage
 from slamkit.compiled import Compiled, Models, Policy, call
 from slamkit.errors import DivergenceError, InputError, LogFileError, ModelError, SlamkitError, UnsupportedError
 from slamkit.filters import standard, steps
@@ -50,6 +50,7 @@ class LandmarkFilter:
     iterations: ClassVar[int] = 1
     base: ClassVar[int] = 3  #: entries of the belief before its first landmark, the pose in front
     feet: ClassVar[str] = "mean"  #: array of the state at which the Jacobians take their lever arms
+    compresses: bool = True  #: whether an update leaves alone what is not in sight, so that it may rest
 
     def __init__(
         self,
@@ -61,6 +62,7 @@ class LandmarkFilter:
         *,
         gate: float | None = None,
         snapshots: bool = False,
+        storage: Storage | None = None,
     ) -> None:
         _require(motion, MotionModel, "motion")
         _require(sensor, SensorModel, "sensor")
@@ -72,12 +74,15 @@ class LandmarkFilter:
         if gate is not None and not gate > 0:
             raise InputError(f"gate is {gate!r}, expected None or the largest NIS to accept, > 0")
         self.motion, self.sensor, self.order, self.gate = motion, sensor, order, gate
-        self.snapshots = snapshots
+        self.snapshots, self.storage = snapshots, Storage() if storage is None else storage
         self.dim_z, self.B = len(R), 0
         self.dim_u = int(getattr(motion, "control_dim", 0))
         x[2] = wrap(x[2])
         rest = (0, self.base - 3)
-        self._belief = Belief(np.pad(x, rest), np.pad(P, rest), rows=self.dim_z, control_dim=max(self.dim_u, 1))
+        # With snapshots P is copied at every step anyhow.
+        compresses = self.compresses and not snapshots
+        storage = self.storage if compresses else replace(self.storage, compress_above=sys.maxsize // 4)
+        self._belief = Belief(np.pad(x, rest), np.pad(P, rest), self.dim_z, max(self.dim_u, 1), storage)
         self._models = _adapt(motion, sensor, R)
         self._policy = self._new_policy()
 
@@ -195,38 +200,43 @@ class LandmarkFilter:
         innovations, nis, accepted = np.empty((M, self.dim_z)), np.empty(M), np.empty(M, dtype=np.bool_)
         true_poses, true_landmarks = self._truth_for(log, schedule)
         widest = int(np.diff(schedule.first).max(initial=1))
-        done, stretch, started = 0, 1 if not self._models.compiled else 256, time.perf_counter()
+        slot_of = np.array([self._belief.slots.get(i, -1) for i in log.landmark_ids], dtype=np.int64)
+        unseen = int(np.count_nonzero(slot_of < 0))
+        self._belief.reserve(0 if self.compresses else unseen, widest, exactly=True)
+        done, stretch, started = 0, 1, time.perf_counter()
         report = _reporter(progress, K)
         failure: SlamkitError | KeyboardInterrupt | None = None
-        seen: dict[int, Hashable] = {}
-        slot_of = np.empty(0, dtype=np.int64)
         try:
             while done < K and failure is None:
-                stop = min(done + stretch, K)
-                which = log.observation_ids[schedule.first[done] : schedule.first[stop]]
-                seen = {int(i): log.landmark_ids[i] for i in dict.fromkeys(which.tolist())}
-                slot_of = np.full(len(log.landmark_ids), -1, dtype=np.int64)
-                slot_of[list(seen)] = [self._belief.slots.get(i, -1) for i in seen.values()]
-                self._belief.reserve(sum(i not in self._belief.slots for i in seen.values()), widest)
                 arguments = (
                     controls, schedule.dt, schedule.control, schedule.first, log.observation_ids, slot_of, z,
-                    true_poses, true_landmarks, done, stop, poses, covariances, innovations, nis, accepted,
+                    true_poses, true_landmarks, done, min(done + stretch, K),
+                    poses, covariances, innovations, nis, accepted,
                 )  # fmt: skip
-                reached = self._guarded(steps.run, *arguments)
-                self._name(seen, slot_of)
-                if reached < stop:
-                    rows = slice(schedule.first[reached], schedule.first[reached + 1])
+                begun = time.perf_counter()
+                done = self._guarded(steps.run, *arguments)
+                if self._models.compiled:
+                    # A call is to take a while, but an interrupt is to be heard and progress to be seen.
+                    stretch = 2 * stretch if time.perf_counter() - begun < LONG_CALL else max(1, stretch // 2)
+                self._name(log.landmark_ids, slot_of)
+                status = int(self._belief.state.size[4])
+                if status == steps.DUE:
+                    self._belief.tend()
+                elif status == steps.FULL:
+                    self._belief.widen(widest)
+                elif status != steps.OK:
+                    rows = slice(schedule.first[done], schedule.first[done + 1])
                     ids = [log.landmark_ids[i] for i in log.observation_ids[rows]]
-                    u = controls[max(int(schedule.control[reached]), 0)]
-                    failure = self._failure(u, ids, z[rows], f" at time {schedule.times[reached]} s of the log")
-                done = reached
+                    u = controls[max(int(schedule.control[done]), 0)]
+                    failure = self._failure(u, ids, z[rows], f" at time {schedule.times[done]} s of the log")
                 report(done)
         except KeyboardInterrupt as interrupt:
             # It may come between a compiled stretch and the naming of the landmarks which that has started.
-            self._name(seen, slot_of)
+            self._name(log.landmark_ids, slot_of)
             failure = interrupt
         finally:
             report(None)
+        landmarks, landmark_covariances = self._marginals()
         index = {i: n for n, i in enumerate(self._belief.slots)}
         rows_of = np.array([index.get(i, -1) for i in log.landmark_ids], dtype=np.int64)
         seen_until = int(schedule.first[done])
@@ -241,8 +251,8 @@ class LandmarkFilter:
             nis=nis[:seen_until],
             accepted=accepted[:seen_until],
             landmark_ids=self._belief.ids,
-            landmarks=np.array(list(self.landmarks.values())).reshape(-1, 2),
-            landmark_covariances=np.array([self.marginal([i])[1] for i in self._belief.ids]).reshape(-1, 2, 2),
+            landmarks=landmarks,
+            landmark_covariances=landmark_covariances,
             seconds=time.perf_counter() - started,
         )
         if failure is not None:
@@ -250,11 +260,13 @@ class LandmarkFilter:
             raise failure
         return history
 
-    def _name(self, ids: Mapping[int, Hashable], slot_of: NDArray[np.int64]) -> None:
+    def _name(self, ids: Sequence[Hashable], slot_of: NDArray[np.int64]) -> None:
         """Name the landmarks that compiled code has started, in the order of their slots."""
-        for i in sorted((i for i in ids if slot_of[i] >= 0), key=lambda i: int(slot_of[i])):
-            if ids[i] not in self._belief.slots:
-                self._belief.register(ids[i], int(slot_of[i]))
+        belief = self._belief
+        if belief.base + BLOCK * len(belief.slots) < belief.dim:
+            new = np.flatnonzero(slot_of >= belief.base + BLOCK * len(belief.slots))
+            for i in new[np.argsort(slot_of[new])]:
+                belief.register(ids[i], int(slot_of[i]))
 
     def remove(self, landmark_id: Hashable) -> None:
         """Take a landmark out of the map; the rest of the belief stays as it is.
@@ -353,7 +365,7 @@ class LandmarkFilter:
     @property
     def landmarks(self) -> dict[Hashable, Array]:
         """The map: id → position (2,) [m]; copies."""
-        mean = self._belief.state.mean
+        mean = self._belief.mean
         return {i: mean[s : s + 2].copy() for i, s in self._belief.slots.items()}
 
     def marginal(self, ids: Sequence[Hashable], pose: bool = False) -> tuple[Array, Array]:
@@ -374,12 +386,17 @@ class LandmarkFilter:
         self._settle()
         return self._belief.marginal(ids, base=pose)
 
+    def _marginals(self) -> tuple[Array, Array]:
+        """Mean (N, 2) and covariance (N, 2, 2) of every landmark by itself, in standard coordinates."""
+        self._settle()
+        return self._belief.marginals()
+
     def _settle(self) -> None:
         """Bring the covariance to standard coordinates at the current mean."""
 
     def _feet(self) -> Array:
         """Points (D,) at which the Jacobians take their lever arms; the entry of the heading means nothing."""
-        return np.array(getattr(self._belief.state, self.feet)[: self._belief.dim])
+        return self._belief.points(self.feet)
 
     def _linearises_in_world(self) -> bool:
         """Whether a step leaves the F and the sparse H that it used, in the frame of the world."""
@@ -404,8 +421,7 @@ class LandmarkFilter:
     def _correct(self, H: Array, y: Array, R: Array) -> None:
         """Update by ``y = H δ + v``, v ~ N(0, R), with a dense H (r, D) in standard coordinates."""
         self._belief.gain(H, y, R)
-        kernels.downdate(self._belief.state, len(y))
-        self._policy.retract(self._belief.state)
+        self._belief.correct(self._policy.retract)
 
     # -- as filterpy's users know it ----------------------------------------------------------------------------------
 
@@ -489,9 +505,7 @@ class LandmarkFilter:
     def K(self) -> Array:  # noqa: N802
         """Gain (D, r) of the last update; zero in the rows of landmarks that came after it."""
         s, rows = self._belief.state, self._rows
-        w = s.w[:rows, : self._belief.dim].copy()
-        w[:, int(s.size[2]) :] = 0.0
-        w = np.delete(w, slice(3, self.base), axis=1)
+        w = np.delete(self._belief.gain_rows, slice(3, self.base), axis=1)
         return _frozen(solve_triangular(s.L[:rows, :rows], w, lower=True, trans="T").T.copy())
 
     @property
@@ -594,11 +608,16 @@ class LandmarkFilter:
         belief.reserve(new, len(found))
         slots = np.array(found, dtype=np.int64)
         status = self._guarded(steps.step, u, dt, slots, z)
-        if status in (steps.OK, steps.NOT_DEFINITE) and new:
+        if status == steps.FULL:
+            belief.widen(len(found))
+            status = self._guarded(steps.step, u, dt, slots, z)
+        if new and status in (steps.OK, steps.DUE, steps.NOT_DEFINITE):
             for i, before, slot in zip(ids, found, slots.tolist(), strict=True):
                 if before < 0 <= slot:
                     belief.register(i, slot)
-        if status != steps.OK:
+        if status == steps.DUE:
+            belief.tend()
+        elif status != steps.OK:
             raise self._failure(u, ids, z, "")
 
     def _guarded(self, step: Compiled, *arguments: Any) -> int:
@@ -634,8 +653,7 @@ class LandmarkFilter:
         if n < len(ids):
             i, name = ids[n], type(self.sensor).__name__
             if i in self._belief.slots:
-                slot = self._belief.slots[i]
-                distance = float(np.hypot(*(state.mean[slot : slot + 2] - state.pose[:2])))
+                distance = float(np.hypot(*(self._belief.marginal([i])[0] - state.pose[:2])))
                 what = f"landmark {i!r} lies {distance:.3g} m from the robot"
             else:
                 what = f"landmark {i!r} was measured at {z[n]}"
@@ -657,30 +675,19 @@ class LandmarkFilter:
         InputError
             A landmark id is none of int, str, float, bool, None or a tuple of these.
         """
-        state, D, rows = self._belief.state, self._belief.dim, self._rows
         facts = {
             "filter": self.name,
             "order": self.order,
             "gate": self.gate,
             "snapshots": self.snapshots,
+            "storage": asdict(self.storage),
             "dim_u": self.dim_u,
             "ids": [encode_id(i) for i in self._belief.ids],
             "motion": model_to_dict(self.motion),
             "sensor": model_to_dict(self.sensor),
             **self._facts(),
         }
-        arrays = {
-            "size": state.size,
-            "memory": state.memory,
-            "mean": state.mean[:D],
-            "points": state.points[:D],
-            "cov": np.tril(state.cov[:D, :D]),
-            **{n: getattr(state, n) for n in ("F", "Q")},
-            **{n: getattr(state, n)[:rows] for n in ("z", "y", "t")},
-            **{n: getattr(state, n)[:rows, :rows] for n in ("S", "L")},
-            "w": state.w[:rows, :D],
-        }
-        write_archive(path, "filter", facts, arrays)
+        write_archive(path, "filter", facts, self._belief.arrays())
 
     @classmethod
     def load(cls, path: str | Path, motion: MotionModel | None = None, sensor: SensorModel | None = None) -> Self:
@@ -711,17 +718,16 @@ class LandmarkFilter:
             raise InputError(f"{path} was written with a {missing[0]} model of its user: give load({missing[0]}=…)")
         with reading(path, "filter"):
             new = cls(
-                **models, order=facts["order"], gate=facts["gate"], snapshots=facts["snapshots"], **cls._options(facts)
+                **models,
+                order=facts["order"],
+                gate=facts["gate"],
+                snapshots=facts["snapshots"],
+                storage=Storage(**facts["storage"]),
+                **cls._options(facts),
             )
-            ids, rows, D = [decode_id(i) for i in facts["ids"]], int(arrays["size"][1]), int(arrays["size"][0])
             new.dim_u = facts["dim_u"]
-            new._belief.reserve(len(ids), -(-rows // new.dim_z), max(new.dim_u, 1))
-            state = new._belief.state
-            for name, array in arrays.items():
-                getattr(state, name)[tuple(slice(0, n) for n in array.shape)] = array
-            new._belief.slots = {i: cls.base + BLOCK * n for n, i in enumerate(ids)}
-            if cls.base + BLOCK * len(ids) != D:
-                raise ValueError(f"{len(ids)} landmark ids and a state of {D}")
+            new._belief.reserve(0, control_dim=max(new.dim_u, 1))
+            new._belief.take([decode_id(i) for i in facts["ids"]], arrays)
             new._resume(facts)
         return new
 
@@ -751,6 +757,8 @@ class LandmarkFilter:
 
 
 _NO_CONTROL = np.zeros(1)
+
+LONG_CALL = 0.1  #: [s] how long one compiled call over many steps may take
 
 
 def _require(model: object, protocol: type, what: str) -> None:

@@ -94,6 +94,7 @@ class InvariantEKFSLAM(EKFSLAM):
         report=report,
     )
     feet = "points"
+    compresses = False
 
     def _settle(self) -> None:
         shear(self._belief.state)

@@ -191,6 +191,7 @@ class RobocentricEKFSLAM(EKFSLAM):
     name = "robocentric"
     functions = PolicyFunctions(motion=motion, retract=retract, report=report)
     base = 6
+    compresses = False
 
     def __init__(
         self,
@@ -222,6 +223,10 @@ class RobocentricEKFSLAM(EKFSLAM):
         mean, covariance = self._belief.marginal(ids, base=True)
         keep = slice(0 if pose else 3, None)
         return in_world(mean, self._start)[keep], covariance_in_world(mean, covariance, self._start)[keep, keep]
+
+    def _marginals(self) -> tuple[Array, Array]:
+        parts = [self.marginal([i]) for i in self._belief.ids]
+        return np.array([m for m, _ in parts]).reshape(-1, 2), np.array([P for _, P in parts]).reshape(-1, 2, 2)
 
     @property
     def _start(self) -> Array:

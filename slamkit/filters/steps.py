@@ -28,6 +28,7 @@ import numpy as np
 
 from slamkit.compiled import compiled
 from slamkit.kernels import (
+    activate,
     all_finite,
     augment,
     cholesky,
@@ -37,10 +38,12 @@ from slamkit.kernels import (
     is_finite,
     project,
     propagate,
+    record,
     whiten,
 )
 
-OK, BAD_MOTION, BAD_SIGHTING, NOT_DEFINITE = 0, 1, 2, 3
+#: FULL: nothing has happened, for want of room. DUE: the step is done, and the belief would be tended to.
+OK, BAD_MOTION, BAD_SIGHTING, NOT_DEFINITE, FULL, DUE = 0, 1, 2, 3, 4, 5
 
 
 @compiled("index(models, state, integers, matrix)", generic=True)
@@ -177,8 +180,11 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> int:
         linearise(policy, models, state, n)
         shift_innovation(state, n, k)
         project(state, n, k)
-    state.size[1], state.size[2] = rows, state.size[0]
+    size = state.size
+    size[1], size[2], size[8] = rows, size[0], size[6]
     downdate(state, rows)
+    if size[5] > 0:
+        record(state, n, k)
     policy.retract(state)
     return OK
 
@@ -230,23 +236,81 @@ def take(policy: Any, models: Any, state: Any, slots: Any, z: Any, moved: bool) 
     return OK
 
 
+@compiled("flag(state, integers)")
+def awaken(state: Any, slots: Any) -> bool:
+    """Make the landmarks of a scan active and give their slots there; False, and nothing has changed, without room."""
+    size, local = state.size, state.local
+    new = resting = 0
+    for slot in slots:
+        if slot < 0:
+            new += 2
+        elif local[slot] < 0:
+            resting += 2
+    if size[0] + new + resting > state.mean.shape[0] or size[6] + new > local.shape[0]:
+        return False
+    if resting > 0 and size[5] + resting > state.theta.shape[0]:
+        return False
+    for i in range(slots.shape[0]):
+        slot = slots[i]
+        if slot >= 0:
+            slots[i] = local[slot] if local[slot] >= 0 else activate(state, slot)
+    return True
+
+
+@compiled("void(state, integers)")
+def rename(state: Any, slots: Any) -> None:
+    """Active slots → slots in the map."""
+    for i in range(slots.shape[0]):
+        if slots[i] >= 0:
+            slots[i] = state.owner[slots[i]]
+
+
+@compiled("index(state, index)")
+def upkeep(state: Any, n: int) -> int:
+    """`DUE` where it pays to flush after a scan of n sightings, else `OK`.
+
+    A larger active part makes every update dearer; a flush makes it small again, but the base and what is in sight
+    will soon be in the next flush too. So a flush pays once the excess since the last has reached the price of that.
+    ``state.work`` holds: the excess [multiply-adds]; the price for each coordinate in sight and D²; a flush's fixed
+    price; the columns at which a flush is due anyway; the dimension above which the belief is compressed.
+    """
+    size, work = state.size, state.work
+    C = size[5]
+    if C == 0:
+        return DUE if size[6] > work[4] else OK
+    D, need, whole = float(size[0]), 3.0 + 2.0 * n, float(size[6])
+    work[0] += n * max(0.0, D * D + 2.0 * D * C + C * C - 4.0 * need * need)
+    if state.V.shape[1] > 0 or work[0] > work[1] * need * whole * whole + work[2] or C > work[3]:
+        return DUE
+    return OK
+
+
 @compiled("index(policy, models, state, vector, real, integers, matrix)", generic=True)
 def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z: Any) -> Any:
-    """Predict over dt (unless it is 0), then take the scan. A refused step has changed nothing."""
+    """Predict over dt (unless it is 0), then take the scan. A refused step has changed nothing.
+
+    The slots are those of the whole map; those of new landmarks are written.
+    """
+    if not awaken(state, slots):
+        return FULL
     if dt > 0.0:
         policy.motion(models, state, u, dt)
         if not (is_finite(state.pose) and all_finite(state.F) and all_finite(state.Q)):
+            rename(state, slots)
             return BAD_MOTION
     else:
         state.pose[:] = state.mean[:3]
     bad = first_bad(models, state, slots, z)
     if bad >= 0:
         state.size[3] = bad
+        rename(state, slots)
         return BAD_SIGHTING
     if dt > 0.0:
         state.mean[:3] = state.pose
         propagate(state)
-    return take(policy, models, state, slots, z, dt > 0.0)
+    status = take(policy, models, state, slots, z, dt > 0.0)
+    rename(state, slots)
+    return upkeep(state, slots.shape[0]) if status == OK else status
 
 
 @compiled(
@@ -259,7 +323,9 @@ def run(
     z: Any, true_poses: Any, true_landmarks: Any, begin_at: int, end_at: int,
     poses: Any, covariances: Any, innovations: Any, nis: Any, accepted: Any,
 ) -> int:  # fmt: skip
-    """Steps begin_at … end_at-1 of a schedule, recorded; the step that failed, or end_at. The status is in size[4].
+    """Steps begin_at … end_at-1 of a schedule, recorded, until one is not OK; how many are done.
+
+    The last status is in size[4]: OK at the end, DUE after a step that is done, else that of the step that was refused.
 
     ``which[j]`` is the log's landmark in observation j, ``slot_of`` maps it to its slot (-1: not in the map yet);
     the true poses and landmarks are empty unless the filter is told them.
@@ -277,11 +343,13 @@ def run(
         for j in range(n):
             slot_of[which[lo + j]] = slots[j]
         state.size[4] = status
-        if status != OK:
+        if status != OK and status != DUE:
             return i
         policy.report(state, poses[i], covariances[i])
         for j in range(n):
             innovations[lo + j, :] = state.innovations[j]
             nis[lo + j] = state.nis[j]
             accepted[lo + j] = state.accepted[j]
+        if status == DUE:
+            return i + 1
     return end_at

@@ -321,6 +321,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
             raise InputError(f"sigma_points is {sigma_points!r}, expected 'partial' or 'full'")
         if not (0 < alpha <= 1 and kappa > -1 and np.isfinite(beta) and np.isfinite(kappa)):
             raise InputError(f"alpha, beta, kappa are {alpha}, {beta}, {kappa}; expected 0 < alpha ≤ 1 and kappa > -1")
+        self.compresses = sigma_points == "partial"
         super().__init__(motion, sensor, pose, pose_covariance, order, **options)
         self.sigma_points, self.alpha, self.beta, self.kappa = sigma_points, alpha, beta, kappa
         self._belief.state.memory[:3] = alpha, beta, kappa
