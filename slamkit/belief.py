@@ -120,7 +120,7 @@ class Belief:
         #: L⁻¹ H P (r, D) of the last update, once the active part no longer holds it.
         self._whole_w: Array | None = None
         kept = {"mean": start, "points": start, "cov": np.tril(np.asarray(covariance, dtype=float))}
-        kept |= {"memory": np.zeros(6), "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0], dtype=np.int64)}
+        kept |= {"memory": np.zeros(6), "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0, 0], dtype=np.int64)}
         kept |= {"owner": np.arange(b), "local": np.arange(b), "work": self._terms()}
         self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, whole=b + 8 * BLOCK)
 
@@ -131,8 +131,10 @@ class Belief:
 
     def _lay_out(self, kept: dict[str, Any], capacity: int, sightings: int, columns: int, whole: int) -> None:
         """Arrays of the given capacities that hold what is kept."""
-        k, m, rows = self._k, self._m, max(self._k * sightings, int(kept["size"][1]))
+        k, m, rows = self._k, self._m, max(self._k * sightings, int(kept["size"][1]), 2)
         D = int(kept["size"][0])
+        # Compiled code works on whole vectors of four numbers.
+        capacity, columns = -(-capacity // 4) * 4, -(-columns // 4) * 4
         self.storage.afford(8 * capacity * D, f"the covariance of {(D - self.base) // BLOCK} active landmarks")
 
         def copied(name: str, shape: tuple[int, ...], fill: float = 0.0) -> Any:
@@ -153,7 +155,7 @@ class Belief:
             size=kept["size"],
             work=kept["work"],
             Phi=copied("Phi", (capacity if columns else 0, columns)),
-            Psi=copied("Psi", (columns, columns)),
+            minus_Psi=copied("minus_Psi", (columns, columns)),
             theta=copied("theta", (columns,)),
             g=copied("g", (rows, columns)),
             columns=copied("columns", (columns,)) if "columns" in kept else np.zeros(columns, dtype=np.int64),
@@ -176,6 +178,7 @@ class Belief:
             nis=np.zeros(sightings),
             truth=copied("truth", (sightings, BLOCK)),
             accepted=np.zeros(sightings, dtype=np.bool_),
+            saved=np.zeros(kernels.SMALL * (kernels.SMALL + 9) // 2 + 20),
             z=copied("z", (rows,)),
             z_hat=np.zeros(k),
             y=copied("y", (rows,)),
@@ -327,6 +330,13 @@ class Belief:
         return bool(self.state.V.shape[1])
 
     @property
+    def _Psi(self) -> Array:  # noqa: N802
+        """Ψ (C, C), symmetric."""
+        C = int(self.state.size[5])
+        lower: Array = np.tril(-self.state.minus_Psi[:C, :C])
+        return lower + np.tril(lower, -1).T
+
+    @property
     def _rested(self) -> bool:
         """Whether the base's rows in the store are as they are now."""
         s = self.state
@@ -348,13 +358,11 @@ class Belief:
         else:
             V = np.zeros((-(-whole // PANEL) * PANEL, C))
             kernels.collect(s, V[:whole])
-            Psi = np.tril(s.Psi[:C, :C])
-            Psi += np.tril(Psi, -1).T
             s.rest[:whole] += V[:whole] @ s.theta[:C]
             kernels.deposit(s, V[:whole] @ s.Phi[:D, :C].T)
             s.rest[owner], s.rest_points[owner] = s.mean[:D], s.points[:D]
             V[owner] = 0.0
-            s.replace(V=V, U=V @ Psi)
+            s.replace(V=V, U=V @ self._Psi)
             s.size[7] = 0
         if len(s.theta) < BASE:
             kept = {**s.fields, "cov": s.cov[:BASE, :BASE]}
@@ -365,7 +373,7 @@ class Belief:
         s.local[owner] = -1
         s.local[:BASE] = s.owner[:BASE] = s.columns[:BASE] = np.arange(BASE)
         s.size[0] = s.size[5] = BASE
-        s.Phi[:BASE, :BASE], s.Psi[:BASE, :BASE], s.theta[:BASE] = np.eye(BASE), 0.0, 0.0
+        s.Phi[:BASE, :BASE], s.minus_Psi[:BASE, :BASE], s.theta[:BASE] = np.eye(BASE), 0.0, 0.0
         s.work[0] = 0.0
         if self.storage.flush_work is not None:
             # So that the beginning of the next flush is within the work of a step as well.
@@ -470,7 +478,7 @@ class Belief:
             self._whole_w, s.size[2] = w, -1
         else:
             s.w[:rows, :D], s.size[2] = w, D
-            kernels.correction(s, rows)
+            s.dx[:D] = w.T @ s.t[:rows]
 
     def correct(self, retract: Compiled) -> None:
         """Carry out the update that `gain` or `gain_of` prepared: P ← P - wᵀw, and `retract` moves the mean."""
@@ -607,15 +615,13 @@ class Belief:
         active = s.Phi[np.maximum(local, 0)][:, :, :C]
         mean = np.where(resting, 0.0, s.mean[np.maximum(local, 0)])
         mean[resting] = s.rest[at[resting]] + rows[resting] @ s.theta[:C]
-        Psi = np.tril(s.Psi[:C, :C])
-        Psi += np.tril(Psi, -1).T
         both, none = resting[:, :, None] & resting[:, None, :], ~resting[:, :, None] & ~resting[:, None, :]
         out = np.einsum("nac,nbc->nab", np.where(resting[..., None], 0.0, active), rows)
         out += out.transpose(0, 2, 1)
         a, b = np.maximum(local[:, :, None], 0), np.maximum(local[:, None, :], 0)
         a, b = np.broadcast_arrays(a, b)
         out[none] = s.cov[np.maximum(a, b), np.minimum(a, b)][none]
-        out[both] = self._entries(i[both], j[both]) - (rows @ Psi @ rows.transpose(0, 2, 1))[both]
+        out[both] = self._entries(i[both], j[both]) - (rows @ self._Psi @ rows.transpose(0, 2, 1))[both]
         return mean, out
 
     def arrays(self) -> dict[str, Array | Indices]:
@@ -649,7 +655,7 @@ class Belief:
         local = np.full(whole, -1, dtype=np.int64)
         local[:D] = kept["owner"] = np.arange(D)
         if C:
-            kept |= {"Phi": np.eye(BASE), "Psi": np.zeros((BASE, BASE)), "columns": np.arange(BASE)}
+            kept |= {"Phi": np.eye(BASE), "minus_Psi": np.zeros((BASE, BASE)), "columns": np.arange(BASE)}
         room = BASE + 8 * BLOCK
         sightings = max(8, -(-rows // self._k))
         self._lay_out({**kept, "local": local}, max(D, room), sightings, room if C else 0, max(whole, room))
@@ -657,7 +663,7 @@ class Belief:
     def snapshot(self) -> dict[str, Any]:
         """Everything that `restore` needs to bring the belief back to the bit, unless it is flushed meanwhile."""
         D = self.active
-        fixed = ("cov", "gathered", "dx", "store", "rest", "rest_points", "V", "U")
+        fixed = ("cov", "gathered", "dx", "saved", "store", "rest", "rest_points", "V", "U")
         whole = {n: np.array(v) for n, v in self.state.fields.items() if n not in fixed}
         return {**whole, "cov": np.array(self.state.cov[:D, :D]), "slots": dict(self.slots), "gain": self._whole_w}
 

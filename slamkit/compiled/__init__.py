@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled"]
+__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "Vectorised", "call", "compiled"]
 
 
 class Compiled:
@@ -74,6 +74,21 @@ class Compiled:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _find, (self.function.__module__, self.function.__qualname__)
+
+
+class Vectorised(Compiled):
+    """A function of `slamkit.compiled.vectors` by name, for compiled functions to call."""
+
+    def __init__(self, name: str) -> None:
+        self.__name__, self.generic = name, False
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """What Numba puts in the place of a call."""
+        return getattr(importlib.import_module("slamkit.compiled.vectors"), self.__name__)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Vectorised, (self.__name__,)
 
 
 def _find(module: str, name: str) -> Any:

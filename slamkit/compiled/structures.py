@@ -156,12 +156,13 @@ STATE_FIELDS = {
     "cov": matrix,  # (capacity, capacity) lower triangle, likewise
     "points": vector,  # (capacity,) where the lever arms of the Jacobians are taken, if not at the mean
     "memory": vector,  # (6,) a variant's own few numbers
-    # (9,) D of what is active; rows of the last update, D at that time; failing sighting, status; C, D of the whole map,
-    # first row of the store that a flush has yet to correct; D of the whole map at the last update
+    # (10,) D of what is active; rows of the last update, D at that time; failing sighting, status; C, D of the whole map,
+    # first row of the store that a flush has yet to correct; D of the whole map at the last update; sightings since the
+    # step began that gave no finite numbers
     "size": integers,
     "work": vector,  # (5,) what decides when to flush, see `slamkit.filters.steps.upkeep`
     "Phi": matrix,  # (capacity, columns) Φ, see `slamkit.kernels`
-    "Psi": matrix,  # (columns, columns) lower triangle of Ψ
+    "minus_Psi": matrix,  # (columns, columns) lower triangle of -Ψ
     "theta": vector,  # (columns,) ϑ
     "g": matrix,  # (rows, columns) L⁻¹ H Φ
     "columns": integers,  # (columns,) A₀ as coordinates of the whole map
@@ -184,6 +185,7 @@ STATE_FIELDS = {
     "nis": vector,  # (n,)
     "truth": matrix,  # (n, 2) true positions of the scan's landmarks, where a filter is told them
     "accepted": flags,  # (n,)
+    "saved": vector,  # mean, points, memory and covariance before a small step
     "z": vector,  # (rows,) their measurements, one after the other
     "z_hat": vector,  # (k,) one predicted measurement
     "y": vector,  # (rows,) innovation
@@ -211,6 +213,8 @@ MODELS_FIELDS = {
     "residual": function(vector, vector, vector, vector),
     "invert": function(vector, vector, vector, vector),
     "inverse_jacobians": function(vector, vector, vector, matrix, matrix),
+    "sight": function(vector, vector, vector, vector, vector, vector, matrix, matrix),
+    "fused": flag,  # whether `sight` is the model's own, else it means nothing
     "motion_params": vector,
     "sensor_params": vector,
     "R": matrix,

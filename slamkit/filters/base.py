@@ -800,6 +800,8 @@ def _adapt(motion: MotionModel, sensor: SensorModel, R: Array) -> Models:
         residual=sensor_functions.residual,
         invert=sensor_functions.invert,
         inverse_jacobians=sensor_functions.inverse_jacobians,
+        sight=sensor_functions.sight or standard.no_sight,
+        fused=sensor_functions.sight is not None,
         motion_params=np.ascontiguousarray(getattr(motion, "params", np.empty(0)), dtype=float),
         sensor_params=np.ascontiguousarray(getattr(sensor, "params", np.empty(0)), dtype=float),
         R=np.ascontiguousarray(R),

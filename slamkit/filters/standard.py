@@ -34,16 +34,29 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     motion_noise(models, state, pose, u, dt)
 
 
+@compiled("void(vector, vector, vector, vector, vector, vector, matrix, matrix)")
+def no_sight(
+    pose: Any, landmark: Any, z: Any, params: Any, z_hat: Any, y: Any, H_pose: Any, H_landmark: Any
+) -> None:
+    """Stands where a model offers no function for this; it is never called."""
+
+
 @compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
 def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
     """Linearise the sensor at the given pose and landmark."""
     k = z.shape[0]
-    models.predict(pose, landmark, models.sensor_params, state.z_hat)
-    models.residual(z, state.z_hat, models.sensor_params, state.y[row : row + k])
-    models.sensor_jacobians(
-        pose, landmark, models.sensor_params, state.H_pose[row : row + k], state.H_landmark[row : row + k]
-    )
-    state.noise[row : row + k, :] = models.R
+    y, H_pose, H_landmark = state.y[row : row + k], state.H_pose[row : row + k], state.H_landmark[row : row + k]
+    params, z_hat = models.sensor_params, state.z_hat
+    if models.fused:
+        models.sight(pose, landmark, z, params, z_hat, y, H_pose, H_landmark)
+    else:
+        models.predict(pose, landmark, params, z_hat)
+        models.residual(z, z_hat, params, y)
+        models.sensor_jacobians(pose, landmark, params, H_pose, H_landmark)
+    R, noise = models.R, state.noise
+    for i in range(k):
+        for j in range(k):
+            noise[row + i, j] = R[i, j]
 
 
 @compiled("void(models, state, index, index, vector)", generic=True)
