@@ -145,7 +145,9 @@ def project_pair(state: Any, slot: int, first: int, second: int) -> None:
         if i < slot:
             row = cov[max(i, 2)]
             p, q = l0[i], l1[i]
-            x, y, z = (cov[max(i, 0), min(i, 0)], cov[max(i, 1), min(i, 1)], row[i]) if i < 3 else (row[0], row[1], row[2])
+            x, y, z = (
+                (cov[max(i, 0), min(i, 0)], cov[max(i, 1), min(i, 1)], row[i]) if i < 3 else (row[0], row[1], row[2])
+            )
         else:
             row = cov[i]
             x, y, z = row[0], row[1], row[2]

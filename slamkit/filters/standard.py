@@ -35,9 +35,7 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 
 
 @compiled("void(vector, vector, vector, vector, vector, vector, matrix, matrix)")
-def no_sight(
-    pose: Any, landmark: Any, z: Any, params: Any, z_hat: Any, y: Any, H_pose: Any, H_landmark: Any
-) -> None:
+def no_sight(pose: Any, landmark: Any, z: Any, params: Any, z_hat: Any, y: Any, H_pose: Any, H_landmark: Any) -> None:
     """Stands where a model offers no function for this; it is never called."""
 
 
