@@ -8,7 +8,7 @@ last flush is, and the rest is corrected at the next: `slamkit.kernels` has the 
 from __future__ import annotations
 
 import os
-from collections.abc import Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dgemm
 
 from slamkit import kernels
-from slamkit.compiled import Compiled, State
+from slamkit.compiled import State
 from slamkit.errors import DivergenceError, InputError, MemoryCapError
 
 Array = NDArray[np.float64]
@@ -486,7 +486,7 @@ class Belief:
             s.w[:rows, :D], s.size[2] = w, D
             s.dx[:D] = w.T @ s.t[:rows]
 
-    def correct(self, retract: Compiled) -> None:
+    def correct(self, retract: Callable[[State], None]) -> None:
         """Carry out the update that `gain` or `gain_of` prepared: P ← P - wᵀw, and `retract` moves the mean."""
         s, rows = self.state, int(self.state.size[1])
         if not self.compressed:
@@ -654,7 +654,7 @@ class Belief:
         D, whole, C, rows = int(size[0]), int(size[6]), int(size[5]), int(size[1])
         self.slots = {i: self.base + BLOCK * n for n, i in enumerate(ids)}
         resting = C == BASE == D and len(arrays["rest"]) >= whole
-        if self.base + BLOCK * len(self.slots) != whole or not (resting or (C == 0 and D == whole)):
+        if self.base + BLOCK * len(self.slots) != whole or not (resting or (C == 0 and whole == D)):
             raise ValueError(f"{len(self.slots)} landmark ids and a state of {whole}")
         self._whole_w, size[2] = np.array(arrays["w"], dtype=float), -1
         kept: dict[str, Any] = {n: np.array(v) for n, v in arrays.items() if n != "w"} | {"size": size}

@@ -35,8 +35,8 @@ __all__ = [
     "project",
     "propagate",
     "record",
-    "shear",
     "save",
+    "shear",
     "squeeze",
     "undo",
     "whiten",
@@ -183,7 +183,7 @@ def project(state: Any, n: int, k: int) -> None:
 
 
 @compiled("real(state, real)")
-def absorb(state: Any, gate: float) -> float:
+def absorb(state: Any, gate: float) -> Any:
     """All that an update by one sighting of two rows needs, in one pass: its NIS, or -1 if S is not definite.
 
     S, L and t are written; where the NIS is within the gate w ← L⁻¹ H P and dx ← wᵀ t too: `project`, `cholesky`,
@@ -265,7 +265,7 @@ def cholesky(S: Any, L: Any, first: int, n: int) -> bool:
         a = sqrt(p) if p > 0.0 else 0.0
         b = q / a
         c = r - b * b
-        if not (0.0 < a and isfinite(a) and 0.0 < c and isfinite(c)):
+        if not (a > 0.0 and isfinite(a) and c > 0.0 and isfinite(c)):
             return False
         L[i, i], L[i + 1, i], L[i + 1, i + 1] = a, b, sqrt(c)
         return True
@@ -460,7 +460,7 @@ def shear(state: Any) -> None:
 
 
 @compiled("index(index, index)")
-def place(i: int, j: int) -> int:
+def place(i: int, j: int) -> Any:
     """Where entry (i, j), i ≥ j, of the packed triangle stands."""
     p = i // PANEL
     return PANEL * (p + 1) * (i - PANEL // 2 * p) + j
@@ -481,7 +481,7 @@ def resting_row(state: Any, index: int, out: Any) -> None:
 
 
 @compiled("index(state, index)")
-def activate(state: Any, slot: int) -> int:
+def activate(state: Any, slot: int) -> Any:
     """Make the landmark that rests at `slot` of the map active: O(A²); its slot among the active.
 
     With c = P⁰[A₀, j]: P_jA = cᵀΦᵀ, P_jj = P⁰_jj - cᵀΨc, x_j = x⁰_j + cᵀϑ, Φ ← [[Φ, 0], [-cᵀΨ, I]].
@@ -510,7 +510,7 @@ def activate(state: Any, slot: int) -> int:
             for j in range(C):
                 total += row[j] * column[j]
             cov[new, i] = total
-        # `product` is -Ψc, for -Ψ is what is kept. P⁰[j, j] and, for the second coordinate, P⁰[j + 1, j]: both as corrected since the flush.
+        # P_jj, and for the second coordinate the entry beside it too; `product` is -Ψc, for -Ψ is what is kept.
         for q in range(r + 1):
             i, j = index, slot + q
             total = state.store[place(i, j)]

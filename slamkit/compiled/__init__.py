@@ -50,19 +50,35 @@ class Compiled:
         return copy
 
     @cached_property
-    def dispatcher(self) -> Any:
-        """Numba's dispatcher, compiled now or read from the cache."""
-        structures = load_structures()
+    def jitted(self) -> Any:
+        """Numba's dispatcher, which compiles, or reads its cache, once another function is compiled that calls it.
+
+        A function that is read from the cache holds the code of all that it calls, so those need not be read.
+        """
+        load_structures()
         import numba
 
-        function = self._over(lambda c: c.dispatcher)
         # contract lets a·b + c be one instruction; no other rule of floating-point arithmetic is relaxed.
         with cache_folder():
             jit = numba.njit(cache=True, fastmath={"contract"}, error_model="numpy", nogil=True)
-            dispatcher = jit(function)
-            dispatcher.compile(eval(self.signature, dict(structures.WORDS)))
-        dispatcher.disable_compile()
-        return dispatcher
+            jitted = jit(self._over(lambda c: c.jitted))
+        resolve = jitted.get_call_template
+
+        def compiled_first(args: Any, kws: Any) -> Any:
+            """With its one signature compiled, a call casts its arguments to it instead of compiling for others."""
+            assert self.dispatcher is jitted
+            return resolve(args, kws)
+
+        jitted.get_call_template = compiled_first
+        return jitted
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """The same, compiled now or read from the cache."""
+        with cache_folder():
+            self.jitted.compile(eval(self.signature, dict(load_structures().WORDS)))
+        self.jitted.disable_compile()
+        return self.jitted
 
     @cached_property
     def plain(self) -> Callable[..., Any]:
@@ -83,7 +99,7 @@ class Vectorised(Compiled):
         self.__name__, self.generic = name, False
 
     @cached_property
-    def dispatcher(self) -> Any:
+    def jitted(self) -> Any:
         """What Numba puts in the place of a call."""
         return getattr(importlib.import_module("slamkit.compiled.vectors"), self.__name__)
 

@@ -168,7 +168,7 @@ def settle(policy: Any, state: Any, n: int, k: int) -> int:
 
 
 @compiled("index(policy, models, state, index)", generic=True)
-def correct(policy: Any, models: Any, state: Any, n: int) -> int:
+def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
     """One update by the n sightings in ``state.slots`` and ``state.z``, stacked.
 
     With more than one iteration it is the iterated EKF: linearise at the last iterate until it stands still
@@ -314,7 +314,7 @@ def upkeep(state: Any, n: int) -> int:
         return DUE if size[6] > work[4] else OK
     D, need, whole = float(size[0]), 3.0 + 2.0 * n, float(size[6])
     work[0] += n * max(0.0, D * D + 2.0 * D * C + C * C - 4.0 * need * need)
-    if state.V.shape[1] > 0 or work[0] > work[1] * need * whole * whole + work[2] or C > work[3]:
+    if state.V.shape[1] > 0 or work[0] > work[1] * need * whole * whole + work[2] or work[3] < C:
         return DUE
     return OK
 
