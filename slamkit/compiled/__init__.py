@@ -86,7 +86,7 @@ class Compiled:
         return self._over(lambda c: c.plain if c.generic else c)
 
     def __call__(self, *args: Any) -> Any:
-        return self.dispatcher(*[a.handle if isinstance(a, Shared) else a for a in args])
+        return self.dispatcher(*args)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _find, (self.function.__module__, self.function.__qualname__)
@@ -135,7 +135,8 @@ class Shared:
         self.__dict__.update(fields)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {n: v for n, v in self.__dict__.items() if n not in ("handle", "plain")}
+        derived = ("handle", "plain", "address", "_numba_type_")
+        return {n: v for n, v in self.__dict__.items() if n not in derived}
 
     def replace(self, **fields: Any) -> None:
         """Let fields be these from now on."""
@@ -145,8 +146,17 @@ class Shared:
             self.handle.put(**fields)
 
     @cached_property
+    def _numba_type_(self) -> Any:
+        return self.handle.table
+
+    @cached_property
+    def address(self) -> int:
+        """Where the table is that compiled functions take."""
+        return int(self.handle.address)
+
+    @cached_property
     def handle(self) -> Any:
-        """The structure that compiled functions take."""
+        """The table, which holds on to what it points to."""
         return load_structures().Handle(self.kind, **{n: getattr(v, "dispatcher", v) for n, v in self.fields.items()})
 
 

@@ -10,6 +10,7 @@ That matters three times: a call with two dozen arrays would cost microseconds, 
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -43,8 +44,13 @@ class TableType(types.Type):
 
     def first_word(self, field: str) -> int:
         """Where a field begins."""
-        names = list(self.fields)
-        return sum(words(self.fields[n]) for n in names[: names.index(field)])
+        return _first_words(self.name)[field]
+
+
+@cache
+def _first_words(table: str) -> dict[str, int]:
+    sizes = [words(field) for field in FIELDS[table].values()]
+    return dict(zip(FIELDS[table], np.cumsum([0, *sizes]).tolist(), strict=False))
 
 
 def words(field: Any) -> int:
@@ -96,9 +102,9 @@ def load_field(context: Any, builder: Any, table: TableType, address: Any, field
 
 
 @unbox(TableType)
-def unbox_table(table: TableType, handle: Any, c: Any) -> Any:
-    """The address that a handle holds."""
-    address = c.pyapi.object_getattr_string(handle, "address")
+def unbox_table(table: TableType, shared: Any, c: Any) -> Any:
+    """The address that an object of Python names."""
+    address = c.pyapi.object_getattr_string(shared, "address")
     value = c.pyapi.long_as_longlong(address)
     c.pyapi.decref(address)
     return NativeValue(value, is_error=cgutils.is_not_null(c.builder, c.pyapi.err_occurred()))
@@ -115,7 +121,7 @@ class Handle:
     """
 
     def __init__(self, kind: str, **fields: Any) -> None:
-        table = self._numba_type_ = WORDS[kind]
+        table = self.table = WORDS[kind]
         self.fields: dict[str, Any] = {}
         self.row = np.zeros(sum(words(field) for field in table.fields.values()), dtype=np.int64)
         self.address = self.row.ctypes.data
@@ -123,7 +129,7 @@ class Handle:
 
     def put(self, **fields: Any) -> None:
         """Let fields be these from now on."""
-        table = self._numba_type_
+        table = self.table
         self.fields.update(fields)
         for name, value in fields.items():
             row = _words_of(name, table.fields[name], value)
