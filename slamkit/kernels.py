@@ -16,7 +16,7 @@ from __future__ import annotations
 from math import isfinite, sqrt
 from typing import Any
 
-from slamkit.compiled import Vectorised, compiled
+from slamkit.compiled import compiled, intrinsics
 
 __all__ = [
     "absorb",
@@ -47,7 +47,7 @@ PANEL = 64
 
 #: ``(M, i, x, y, a, b, n)``: row i, or rows i … i + 3, of M -= x[i] a + y[i] b in their first n columns at least;
 #: arrays must have room up to a multiple of four columns.
-subtract_row, subtract_four_rows = Vectorised("subtract_row"), Vectorised("subtract_four_rows")
+subtract_row, subtract_four_rows = intrinsics("vectors", "subtract_row", "subtract_four_rows")
 
 #: A belief up to this dimension is saved before a step rather than asked beforehand whether the step will work.
 SMALL = 48

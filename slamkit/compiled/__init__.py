@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "Vectorised", "call", "compiled"]
+__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics"]
 
 
 class Compiled:
@@ -92,19 +92,25 @@ class Compiled:
         return _find, (self.function.__module__, self.function.__qualname__)
 
 
-class Vectorised(Compiled):
-    """A function of `slamkit.compiled.vectors` by name, for compiled functions to call."""
+class Intrinsic(Compiled):
+    """A function of a module that imports Numba, by name, for compiled functions to call."""
 
-    def __init__(self, name: str) -> None:
-        self.__name__, self.generic = name, False
+    def __init__(self, module: str, name: str) -> None:
+        self.__module__, self.__name__, self.generic = module, name, False
 
     @cached_property
     def jitted(self) -> Any:
         """What Numba puts in the place of a call."""
-        return getattr(importlib.import_module("slamkit.compiled.vectors"), self.__name__)
+        load_structures()
+        return getattr(importlib.import_module(self.__module__), self.__name__)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Vectorised, (self.__name__,)
+        return Intrinsic, (self.__module__, self.__name__)
+
+
+def intrinsics(module: str, *names: str) -> list[Intrinsic]:
+    """Functions of a module of this package that is not to be imported before the first call."""
+    return [Intrinsic(f"{__name__}.{module}", name) for name in names]
 
 
 def _find(module: str, name: str) -> Any:

@@ -604,14 +604,14 @@ class LandmarkFilter:
         if len(set(ids)) != len(ids):
             twice = next(i for n, i in enumerate(ids) if i in ids[:n])
             raise InputError(f"landmark {twice!r} occurs twice in one scan")
-        new = found.count(-1)
-        belief.reserve(new, len(found))
+        if len(found) > len(belief.state.nis):
+            belief.reserve(0, len(found))
         slots = np.array(found, dtype=np.int64)
-        status = self._guarded(steps.step, u, dt, slots, z)
+        status = self._take_step(u, dt, slots, z)
         if status == steps.FULL:
             belief.widen(len(found))
-            status = self._guarded(steps.step, u, dt, slots, z)
-        if new and status in (steps.OK, steps.DUE, steps.NOT_DEFINITE):
+            status = self._take_step(u, dt, slots, z)
+        if -1 in found and status in (steps.OK, steps.DUE, steps.NOT_DEFINITE):
             for i, before, slot in zip(ids, found, slots.tolist(), strict=True):
                 if before < 0 <= slot:
                     belief.register(i, slot)
@@ -619,6 +619,12 @@ class LandmarkFilter:
             belief.tend()
         elif status != steps.OK:
             raise self._failure(u, ids, z, "")
+
+    def _take_step(self, u: Array, dt: float, slots: NDArray[np.int64], z: Array) -> int:
+        policy, models, state = self._policy, self._models, self._belief.state
+        if models.compiled:
+            return steps.step_at(policy.address, models.address, state.address, u, dt, slots, z)  # type: ignore[no-any-return]
+        return self._guarded(steps.step, u, dt, slots, z)
 
     def _guarded(self, step: Compiled, *arguments: Any) -> int:
         """Run a step; a model in Python that raises in the middle of it leaves the belief as it was."""

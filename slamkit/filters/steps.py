@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from slamkit.compiled import compiled
+from slamkit.compiled import compiled, intrinsics
 from slamkit.kernels import (
     SMALL,
     absorb,
@@ -377,6 +377,15 @@ def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z:
     status = advance_and_take(policy, models, state, slots, z, dt)
     rename(state, slots)
     return upkeep(state, slots.shape[0]) if status == OK else status
+
+
+as_policy, as_models, as_state = intrinsics("structures", "as_policy", "as_models", "as_state")
+
+
+@compiled("index(index, index, index, vector, real, integers, matrix)")
+def step_at(policy: int, models: int, state: int, u: Any, dt: float, slots: Any, z: Any) -> Any:
+    """`step` with the addresses of its tables, for a caller in Python to whom every microsecond counts."""
+    return step(as_policy(policy), as_models(models), as_state(state), u, dt, slots, z)
 
 
 @compiled(

@@ -430,11 +430,16 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         moments(plus, minus, fit.half, fit.error, fit.mean, memory, r, n)
         return fit
 
+    def _take_step(self, u: Array, dt: float, slots: NDArray[np.int64], z: Array) -> int:
+        if self.sigma_points == "partial":
+            return super()._take_step(u, dt, slots, z)
+        # Python appends the landmarks here, so there must be room for them first.
+        self._belief.reserve(len(slots), len(slots))
+        return self._whole_step(u, dt, slots, z)
+
     def _guarded(self, step: Compiled, *arguments: Any) -> int:
         if self.sigma_points == "partial":
             return super()._guarded(step, *arguments)
-        if step is steps.step:
-            return self._whole_step(*arguments)
         controls, dt, control, first, which, slot_of, z, _, _, begin_at, end_at, *records = arguments
         poses, covariances, innovations, nis, accepted = records
         state = self._belief.state
