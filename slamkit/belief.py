@@ -28,7 +28,7 @@ BASE, BLOCK = 3, 2  #: dimensions of the base that a transition moves, and of on
 PANEL = kernels.PANEL
 
 #: What a multiply-add of a flush costs beside one of a small update, and what a flush costs besides, in the latter.
-FLUSH_RATE, FLUSH_START = 0.15, 3e5
+FLUSH_RATE, FLUSH_START = 0.4, 1e6
 
 
 @dataclass(frozen=True)
