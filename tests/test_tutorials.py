@@ -222,6 +222,28 @@ CLAIMS: dict[str, dict[str, tuple[float, float]]] = {
         "EKFSLAM, deviation of the heading claimed away": (0.5, 3),
         "UKFSLAM, deviation of the heading claimed away": (0.5, 3),
     },
+    "10_convergence": {
+        "ekf, smallest eigenvalue of what an update takes off": (-1e-13, 1e-13),
+        "fej, smallest eigenvalue of what an update takes off": (-1e-13, 1e-13),
+        "ekf, relative sd of a landmark after 1255 s": (2, 4),
+        "fej, relative sd of a landmark after 1255 s": (2, 4),
+        "ekf, ratio of the two over that of 1/√t": (0.85, 1.15),
+        "fej, ratio of the two over that of 1/√t": (0.85, 1.15),
+        "ekf, smallest eigenvalue of P_mm - A0 P0 A0' at the end": (-20, -3),
+        "ekf, share of the time below the bound": (0.8, 1),
+        "ekf, first below the bound after": (5, 230),  # before the loop is closed
+        "fej, smallest eigenvalue of P_mm - A0 P0 A0' at the end": (1e-6, 1e-3),
+        "fej, share of the time below the bound": (0, 0),
+        "landmark 4, sd by the bound": (1.23, 1.23),  # √(2 · 0.1² + (23.3 · 3°)²)
+        "ekf, landmark 4, claimed sd": (0.2, 0.9),
+        "ekf, landmark 4, RMSE over 40 runs": (1.3, 2.5),
+        "ekf, landmark 4, mean NEES": (8, 40),
+        "ekf, relative NEES per degree of freedom": (0.9, 1.2),
+        "fej, landmark 4, claimed sd": (1.3, 1.8),
+        "fej, landmark 4, RMSE over 40 runs": (1.1, 1.8),
+        "fej, landmark 4, mean NEES": (1.2, 3.8),
+        "fej, relative NEES per degree of freedom": (1.1, 1.6),
+    },
 }
 
 
