@@ -206,10 +206,16 @@ def relative_position_inverse_jacobians(pose: Any, z: Any, params: Any, G_pose: 
 def relative_position_sight(
     pose: Any, landmark: Any, z: Any, params: Any, z_hat: Any, y: Any, H_pose: Any, H_landmark: Any
 ) -> None:
-    """The three above."""
-    relative_position(pose, landmark, params, z_hat)
-    difference(z, z_hat, params, y)
-    relative_position_jacobians(pose, landmark, params, H_pose, H_landmark)
+    """The three above, with one sine and cosine."""
+    dx, dy = landmark[0] - pose[0], landmark[1] - pose[1]
+    c, s = cos(pose[2]), sin(pose[2])
+    z_hat[0], z_hat[1] = c * dx + s * dy, c * dy - s * dx
+    y[0], y[1] = z[0] - z_hat[0], z[1] - z_hat[1]
+    H_landmark[0, 0] = H_landmark[1, 1] = c
+    H_landmark[0, 1], H_landmark[1, 0] = s, -s
+    H_pose[0, 0] = H_pose[1, 1] = -c
+    H_pose[0, 1], H_pose[1, 0] = -s, s
+    H_pose[0, 2], H_pose[1, 2] = z_hat[1], -z_hat[0]
 
 
 @dataclass(frozen=True)

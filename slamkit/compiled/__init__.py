@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics"]
+__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics", "models_of"]
 
 
 class Compiled:
@@ -188,6 +188,33 @@ class Models(Shared):
     def __init__(self, *, compiled: bool, **fields: Any) -> None:
         super().__init__(**fields)
         self.compiled = compiled
+
+
+@compiled("void(vector, vector, vector, vector, vector, vector, matrix, matrix)")
+def no_sight(pose: Any, landmark: Any, z: Any, params: Any, z_hat: Any, y: Any, H_pose: Any, H_landmark: Any) -> None:
+    """Stands where a sensor model offers no function for this; it is never called."""
+
+
+def models_of(motion: Any, sensor: Any, motion_params: Any, sensor_params: Any, R: Any, *, compiled: bool) -> Models:
+    """The models whose functions are these MotionFunctions and SensorFunctions of `slamkit.protocols`."""
+    sight = getattr(sensor, "sight", None)
+    return Models(
+        compiled=compiled,
+        move=motion.move,
+        motion_jacobians=motion.jacobians,
+        control_noise=motion.control_noise,
+        pose_noise=motion.pose_noise,
+        predict=sensor.predict,
+        sensor_jacobians=sensor.jacobians,
+        residual=sensor.residual,
+        invert=sensor.invert,
+        inverse_jacobians=sensor.inverse_jacobians,
+        sight=sight or no_sight,
+        fused=sight is not None,
+        motion_params=motion_params,
+        sensor_params=sensor_params,
+        R=R,
+    )
 
 
 class Policy(Shared):

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 from slamkit.belief import BLOCK, Belief, Storage
-from slamkit.compiled import Compiled, Models, Policy, call
+from slamkit.compiled import Compiled, Models, Policy, call, models_of
 from slamkit.errors import DivergenceError, InputError, LogFileError, ModelError, SlamkitError, UnsupportedError
 from slamkit.filters import standard, steps
 from slamkit.logs import History, Log, Scan, Schedule, decode_id, encode_id, read_archive, reading, write_archive
@@ -795,23 +795,10 @@ def _adapt(motion: MotionModel, sensor: SensorModel, R: Array) -> Models:
             _filling(sensor, "predict"), _filling(sensor, "jacobians"), _filling(sensor, "residual"),
             _filling(sensor, "invert"), _filling(sensor, "inverse_jacobians"),
         )  # fmt: skip
-    return Models(
-        compiled=both,
-        move=motion_functions.move,
-        motion_jacobians=motion_functions.jacobians,
-        control_noise=motion_functions.control_noise,
-        pose_noise=motion_functions.pose_noise,
-        predict=sensor_functions.predict,
-        sensor_jacobians=sensor_functions.jacobians,
-        residual=sensor_functions.residual,
-        invert=sensor_functions.invert,
-        inverse_jacobians=sensor_functions.inverse_jacobians,
-        sight=sensor_functions.sight or standard.no_sight,
-        fused=sensor_functions.sight is not None,
-        motion_params=np.ascontiguousarray(getattr(motion, "params", np.empty(0)), dtype=float),
-        sensor_params=np.ascontiguousarray(getattr(sensor, "params", np.empty(0)), dtype=float),
-        R=np.ascontiguousarray(R),
+    moving, seeing = (
+        np.ascontiguousarray(getattr(model, "params", np.empty(0)), dtype=float) for model in (motion, sensor)
     )
+    return models_of(motion_functions, sensor_functions, moving, seeing, np.ascontiguousarray(R), compiled=both)
 
 
 _OUTPUTS = {"jacobians": 2, "inverse_jacobians": 2}

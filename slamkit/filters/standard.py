@@ -34,11 +34,6 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     motion_noise(models, state, pose, u, dt)
 
 
-@compiled("void(vector, vector, vector, vector, vector, vector, matrix, matrix)")
-def no_sight(pose: Any, landmark: Any, z: Any, params: Any, z_hat: Any, y: Any, H_pose: Any, H_landmark: Any) -> None:
-    """Stands where a model offers no function for this; it is never called."""
-
-
 @compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
 def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
     """Linearise the sensor at the given pose and landmark."""
