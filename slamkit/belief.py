@@ -348,16 +348,16 @@ class Belief:
     def _begin_flush(self) -> None:
         """Move what is active, but for the base, to what rests; the correction of the rest is pending then."""
         s, D, whole, C = self.state, self.active, self.dim, int(self.state.size[5])
-        self._keep_gain()
         self._grow_store(whole)
-        s = self.state
         owner = s.owner[:D].copy()
         if C == 0:
+            self._keep_gain(np.zeros((whole, 0)))
             kernels.pack(s.cov, D, s.store)
             s.rest[:D], s.rest_points[:D] = s.mean[:D], s.points[:D]
         else:
             V = np.zeros((-(-whole // PANEL) * PANEL, C))
             kernels.collect(s, V[:whole])
+            self._keep_gain(V[:whole])
             s.rest[:whole] += V[:whole] @ s.theta[:C]
             kernels.deposit(s, V[:whole] @ s.Phi[:D, :C].T)
             s.rest[owner], s.rest_points[owner] = s.mean[:D], s.points[:D]
@@ -518,23 +518,29 @@ class Belief:
     def gain_rows(self) -> Array:
         """L⁻¹ H P (r, D) of the last update, in the order of the map; zero for blocks that came after it."""
         s, rows = self.state, int(self.state.size[1])
+        if s.size[2] >= 0:
+            M, then = np.zeros((self.dim, int(s.size[5]))), s.local[: s.size[8]]
+            if self.compressed:
+                rest = np.flatnonzero((then < 0) | (then >= s.size[2]))
+                M[rest] = self._resting_rows(rest)
+            return self._gain_rows(M)
         out = np.zeros((rows, self.dim))
-        D = int(s.size[2])
-        if D < 0:
-            assert self._whole_w is not None
-            out[:, : self._whole_w.shape[1]] = self._whole_w
-            return out
-        out[:, s.owner[:D]] = s.w[:rows, :D]
-        if self.compressed:
-            then = int(s.size[8])
-            rest = np.flatnonzero((s.local[:then] < 0) | (s.local[:then] >= D))
-            out[:, rest] = (self._resting_rows(rest) @ s.g[:rows, : s.size[5]].T).T
+        assert self._whole_w is not None
+        out[:, : self._whole_w.shape[1]] = self._whole_w
         return out
 
-    def _keep_gain(self) -> None:
+    def _gain_rows(self, M: Array) -> Array:
+        """`gain_rows` from what is active, and from M = P⁰[:, A₀] (D, C) for what was not at the last update."""
+        s, rows, D = self.state, int(self.state.size[1]), int(self.state.size[2])
+        out = np.asarray(s.g[:rows, : M.shape[1]] @ M.T) if M.shape[1] else np.zeros((rows, len(M)))
+        out[:, s.size[8] :] = 0.0
+        out[:, s.owner[:D]] = s.w[:rows, :D]
+        return out
+
+    def _keep_gain(self, M: Array) -> None:
         """Before the active part changes hands: what `gain_rows` would no longer find in it."""
         if self.state.size[2] >= 0 and self.state.size[1] > 0:
-            self._whole_w, self.state.size[2] = self.gain_rows, -1
+            self._whole_w, self.state.size[2] = self._gain_rows(M), -1
 
     def augment(self, block_id: Hashable, mean: ArrayLike, G: ArrayLike, noise: ArrayLike) -> None:
         """Append a block: P_ls = G P_xs, P_ll = G P_xx Gᵀ + noise, G (2, 3) on the base's first three."""

@@ -391,6 +391,13 @@ class LandmarkFilter:
         self._settle()
         return self._belief.marginals()
 
+    def flush(self) -> None:
+        """Bring the covariance of what is not in sight up to date, in place; reading `P` does it too.
+
+        Nothing needs it: it is for a moment when there is time. On a small map there is nothing to do.
+        """
+        self._belief.flush()
+
     def _settle(self) -> None:
         """Bring the covariance to standard coordinates at the current mean."""
 
