@@ -18,7 +18,7 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dgemm
 
 from slamkit import kernels
-from slamkit.compiled import State
+from slamkit.compiled import ACTIVE, ACTIVE_THEN, COLUMNS, CORRECTED, ROWS, WHOLE, WHOLE_THEN, State
 from slamkit.errors import DivergenceError, InputError, MemoryCapError
 
 Array = NDArray[np.float64]
@@ -131,8 +131,8 @@ class Belief:
 
     def _lay_out(self, kept: dict[str, Any], capacity: int, sightings: int, columns: int, whole: int) -> None:
         """Arrays of the given capacities that hold what is kept."""
-        k, m, rows = self._k, self._m, max(self._k * sightings, int(kept["size"][1]), 2)
-        D = int(kept["size"][0])
+        k, m, rows = self._k, self._m, max(self._k * sightings, int(kept["size"][ROWS]), 2)
+        D = int(kept["size"][ACTIVE])
         # Compiled code works on whole vectors of four numbers.
         capacity, columns = -(-capacity // 4) * 4, -(-columns // 4) * 4
         self.storage.afford(8 * capacity * D, f"the covariance of {(D - self.base) // BLOCK} active landmarks")
@@ -202,17 +202,17 @@ class Belief:
     @property
     def dim(self) -> int:
         """D = b + 2N."""
-        return int(self.state.size[6])
+        return int(self.state.size[WHOLE])
 
     @property
     def active(self) -> int:
         """Dimension of the active part: D where nothing rests."""
-        return int(self.state.size[0])
+        return int(self.state.size[ACTIVE])
 
     @property
     def compressed(self) -> bool:
         """Whether anything may rest."""
-        return bool(self.state.size[5] > 0)
+        return bool(self.state.size[COLUMNS] > 0)
 
     @property
     def ids(self) -> tuple[Hashable, ...]:
@@ -227,7 +227,7 @@ class Belief:
             return np.array(s.mean[:D])
         out = np.zeros(self.dim)
         out[: len(s.rest)] = s.rest[: self.dim]
-        theta = s.theta[: s.size[5]]
+        theta = s.theta[: s.size[COLUMNS]]
         resting = np.flatnonzero(s.local[: self.dim] < 0)
         if theta.any():
             out[resting] += self._resting_rows(resting) @ theta
@@ -298,7 +298,7 @@ class Belief:
             return room if need <= room else max(need, 3 * room // 2)
 
         capacity = grown(len(s.mean), self.active + BLOCK * blocks)
-        columns = grown(len(s.theta), int(s.size[5]) + BLOCK * blocks) if self.compressed else 0
+        columns = grown(len(s.theta), int(s.size[COLUMNS]) + BLOCK * blocks) if self.compressed else 0
         room = max(grown(len(s.local), self.dim + BLOCK * blocks), capacity)
         self._lay_out(s.fields, capacity, len(s.nis), columns, room)
 
@@ -332,7 +332,7 @@ class Belief:
     @property
     def _Psi(self) -> Array:  # noqa: N802
         """Ψ (C, C), symmetric."""
-        C = int(self.state.size[5])
+        C = int(self.state.size[COLUMNS])
         lower: Array = np.tril(-self.state.minus_Psi[:C, :C])
         return lower + np.tril(lower, -1).T
 
@@ -347,7 +347,7 @@ class Belief:
 
     def _begin_flush(self) -> None:
         """Move what is active, but for the base, to what rests; the correction of the rest is pending then."""
-        s, D, whole, C = self.state, self.active, self.dim, int(self.state.size[5])
+        s, D, whole, C = self.state, self.active, self.dim, int(self.state.size[COLUMNS])
         self._grow_store(whole)
         owner = s.owner[:D].copy()
         if C == 0:
@@ -363,16 +363,16 @@ class Belief:
             s.rest[owner], s.rest_points[owner] = s.mean[:D], s.points[:D]
             V[owner] = 0.0
             s.replace(V=V, U=V @ self._Psi)
-            s.size[7] = 0
+            s.size[CORRECTED] = 0
         if len(s.theta) < BASE:
             kept = {**s.fields, "cov": s.cov[:BASE, :BASE]}
-            kept["size"][0] = BASE
+            kept["size"][ACTIVE] = BASE
             capacity = BASE + 8 * BLOCK * max(4, len(s.nis) // 4)
             self._lay_out(kept, capacity, len(s.nis), capacity, len(s.local))
             s = self.state
         s.local[owner] = -1
         s.local[:BASE] = s.owner[:BASE] = s.columns[:BASE] = np.arange(BASE)
-        s.size[0] = s.size[5] = BASE
+        s.size[ACTIVE] = s.size[COLUMNS] = BASE
         s.Phi[:BASE, :BASE], s.minus_Psi[:BASE, :BASE], s.theta[:BASE] = np.eye(BASE), 0.0, 0.0
         s.work[0] = 0.0
         if self.storage.flush_work is not None:
@@ -398,22 +398,22 @@ class Belief:
             s.replace(**grown)
 
     def _correct_rows(self, work: float | None) -> None:
-        """P_bb ← P_bb - Mᵀ Ψ M, panel by panel from ``size[7]`` on, until the work is spent."""
+        """P_bb ← P_bb - Mᵀ Ψ M, panel by panel from ``size[CORRECTED]`` on, until the work is spent."""
         s = self.state
         rank, whole = s.V.shape[1], len(s.V)
         if rank == 0:
             return
         spent = 0.0
-        while s.size[7] < whole and (work is None or spent < work):
-            row = int(s.size[7])
+        while s.size[CORRECTED] < whole and (work is None or spent < work):
+            row = int(s.size[CORRECTED])
             width = row + PANEL
             start = kernels.place(row, 0)
             panel = s.store[start : start + PANEL * width].reshape(PANEL, width)
             # BLAS sees the transpose, (width, PANEL) in its own order, and works in place.
             dgemm(-1.0, s.U[:width].T, s.V[row:width].T, 1.0, panel.T, trans_a=True, overwrite_c=True)
-            s.size[7] = width
+            s.size[CORRECTED] = width
             spent += PANEL * width * rank
-        if s.size[7] >= whole:
+        if s.size[CORRECTED] >= whole:
             s.replace(V=np.zeros((0, 0)), U=np.zeros((0, 0)))
 
     def _entries(self, i: Indices, j: Indices) -> Array:
@@ -423,13 +423,13 @@ class Belief:
         p = i // PANEL
         out: Array = s.store[PANEL * (p + 1) * (i - PANEL // 2 * p) + j]
         if self._pending:
-            late = i >= s.size[7]
+            late = i >= s.size[CORRECTED]
             out[late] -= np.einsum("nr,nr->n", s.V[i[late]], s.U[j[late]])
         return out
 
     def _resting_rows(self, at: Indices) -> Array:
         """P⁰[at, A₀] (len(at), C)."""
-        columns = self.state.columns[: self.state.size[5]]
+        columns = self.state.columns[: self.state.size[COLUMNS]]
         return self._entries(*np.broadcast_arrays(at[:, None], columns[None]))
 
     # -- the cycle ----------------------------------------------------------------------------------------------------
@@ -479,16 +479,16 @@ class Belief:
         s.S[:rows, :rows], s.L[:rows, :rows], s.y[:rows] = S, L, y
         w = solve_triangular(L, cross.T, lower=True)
         s.t[:rows] = solve_triangular(L, y, lower=True)
-        s.size[1] = rows
+        s.size[ROWS] = rows
         if self.compressed:
-            self._whole_w, s.size[2] = w, -1
+            self._whole_w, s.size[ACTIVE_THEN] = w, -1
         else:
-            s.w[:rows, :D], s.size[2] = w, D
+            s.w[:rows, :D], s.size[ACTIVE_THEN] = w, D
             s.dx[:D] = w.T @ s.t[:rows]
 
     def correct(self, retract: Callable[[State], None]) -> None:
         """Carry out the update that `gain` or `gain_of` prepared: P ← P - wᵀw, and `retract` moves the mean."""
-        s, rows = self.state, int(self.state.size[1])
+        s, rows = self.state, int(self.state.size[ROWS])
         if not self.compressed:
             kernels.downdate(s, rows)
             retract(s)
@@ -499,7 +499,7 @@ class Belief:
         V = np.zeros((-(-self.dim // PANEL) * PANEL, rows))
         V[: self.dim] = w.T
         s.replace(V=V, U=V)
-        s.size[7] = 0
+        s.size[CORRECTED] = 0
         self._correct_rows(None)
         dx = w.T @ s.t[:rows]
         s.rest[: self.dim] += dx
@@ -517,11 +517,11 @@ class Belief:
     @property
     def gain_rows(self) -> Array:
         """L⁻¹ H P (r, D) of the last update, in the order of the map; zero for blocks that came after it."""
-        s, rows = self.state, int(self.state.size[1])
-        if s.size[2] >= 0:
-            M, then = np.zeros((self.dim, int(s.size[5]))), s.local[: s.size[8]]
+        s, rows = self.state, int(self.state.size[ROWS])
+        if s.size[ACTIVE_THEN] >= 0:
+            M, then = np.zeros((self.dim, int(s.size[COLUMNS]))), s.local[: s.size[WHOLE_THEN]]
             if self.compressed:
-                rest = np.flatnonzero((then < 0) | (then >= s.size[2]))
+                rest = np.flatnonzero((then < 0) | (then >= s.size[ACTIVE_THEN]))
                 M[rest] = self._resting_rows(rest)
             return self._gain_rows(M)
         out = np.zeros((rows, self.dim))
@@ -531,16 +531,16 @@ class Belief:
 
     def _gain_rows(self, M: Array) -> Array:
         """`gain_rows` from what is active, and from M = P⁰[:, A₀] (D, C) for what was not at the last update."""
-        s, rows, D = self.state, int(self.state.size[1]), int(self.state.size[2])
+        s, rows, D = self.state, int(self.state.size[ROWS]), int(self.state.size[ACTIVE_THEN])
         out = np.asarray(s.g[:rows, : M.shape[1]] @ M.T) if M.shape[1] else np.zeros((rows, len(M)))
-        out[:, s.size[8] :] = 0.0
+        out[:, s.size[WHOLE_THEN] :] = 0.0
         out[:, s.owner[:D]] = s.w[:rows, :D]
         return out
 
     def _keep_gain(self, M: Array) -> None:
         """Before the active part changes hands: what `gain_rows` would no longer find in it."""
-        if self.state.size[2] >= 0 and self.state.size[1] > 0:
-            self._whole_w, self.state.size[2] = self._gain_rows(M), -1
+        if self.state.size[ACTIVE_THEN] >= 0 and self.state.size[ROWS] > 0:
+            self._whole_w, self.state.size[ACTIVE_THEN] = self._gain_rows(M), -1
 
     def augment(self, block_id: Hashable, mean: ArrayLike, G: ArrayLike, noise: ArrayLike) -> None:
         """Append a block: P_ls = G P_xs, P_ll = G P_xx Gᵀ + noise, G (2, 3) on the base's first three."""
@@ -561,8 +561,8 @@ class Belief:
         s.cov[slot : slot + BLOCK, :slot] = cross
         s.cov[slot : slot + BLOCK, slot : slot + BLOCK] = np.tril(block)
         s.owner[slot : slot + BLOCK] = s.local[slot : slot + BLOCK] = slot, slot + 1
-        s.size[0] += BLOCK
-        s.size[6] += BLOCK
+        s.size[ACTIVE] += BLOCK
+        s.size[WHOLE] += BLOCK
         return slot
 
     def remove(self, block_id: Hashable) -> None:
@@ -584,11 +584,12 @@ class Belief:
             for vector in (s.mean, s.points):
                 vector[: D - BLOCK] = vector[rest]
             s.w[:, : D - BLOCK] = s.w[:, rest]
-            s.size[0] -= BLOCK
+            s.size[ACTIVE] -= BLOCK
             s.local[D - BLOCK : D] = -1
-            if s.size[2] >= 0:
-                s.size[2] = min(s.size[2], s.size[0]) if s.size[2] <= slot else s.size[2] - BLOCK
-        s.size[6] -= BLOCK
+            then = int(s.size[ACTIVE_THEN])
+            if then >= 0:
+                s.size[ACTIVE_THEN] = min(then, D - BLOCK) if then <= slot else then - BLOCK
+        s.size[WHOLE] -= BLOCK
         self.slots = {i: k if k < slot else k - BLOCK for i, k in self.slots.items()}
 
     # -- reading a part -----------------------------------------------------------------------------------------------
@@ -619,7 +620,7 @@ class Belief:
         i, j = np.broadcast_arrays(i, j)
         if not self.compressed:
             return s.mean[at], s.cov[np.maximum(i, j), np.minimum(i, j)]
-        local, C = s.local[at], int(s.size[5])
+        local, C = s.local[at], int(s.size[COLUMNS])
         resting = local < 0
         # With (Φ_a, 0) for what is active and (c, 1) for what rests: P_ab = P_AA, Φ_a c_b or P⁰_bb - c_aᵀ Ψ c_b.
         rows = np.zeros((*at.shape, C))
@@ -639,7 +640,7 @@ class Belief:
     def arrays(self) -> dict[str, Array | Indices]:
         """What `take` needs to go on bit for bit, after a flush."""
         self.flush()
-        s, D, rows = self.state, self.active, int(self.state.size[1])
+        s, D, rows = self.state, self.active, int(self.state.size[ROWS])
         kept = {
             **{n: getattr(s, n) for n in ("size", "work", "memory", "F", "Q", "rest", "rest_points", "store")},
             **{n: getattr(s, n)[:D] for n in ("mean", "points")},
@@ -657,12 +658,12 @@ class Belief:
             The arrays do not fit each other or the ids.
         """
         size = np.array(arrays["size"], dtype=np.int64)
-        D, whole, C, rows = int(size[0]), int(size[6]), int(size[5]), int(size[1])
+        D, whole, C, rows = int(size[ACTIVE]), int(size[WHOLE]), int(size[COLUMNS]), int(size[ROWS])
         self.slots = {i: self.base + BLOCK * n for n, i in enumerate(ids)}
         resting = C == BASE == D and len(arrays["rest"]) >= whole
         if self.base + BLOCK * len(self.slots) != whole or not (resting or (C == 0 and whole == D)):
             raise ValueError(f"{len(self.slots)} landmark ids and a state of {whole}")
-        self._whole_w, size[2] = np.array(arrays["w"], dtype=float), -1
+        self._whole_w, size[ACTIVE_THEN] = np.array(arrays["w"], dtype=float), -1
         kept: dict[str, Any] = {n: np.array(v) for n, v in arrays.items() if n != "w"} | {"size": size}
         local = np.full(whole, -1, dtype=np.int64)
         local[:D] = kept["owner"] = np.arange(D)
@@ -681,7 +682,7 @@ class Belief:
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Undo everything since `snapshot`."""
-        D = int(snapshot["size"][0])
+        D = int(snapshot["size"][ACTIVE])
         self.slots, self._whole_w = dict(snapshot["slots"]), snapshot["gain"]
         for name, old in snapshot.items():
             if name in ("cov", "slots", "gain"):
@@ -692,5 +693,5 @@ class Belief:
 
 
 def _add(state: State) -> None:
-    D = state.size[0]
+    D = state.size[ACTIVE]
     state.mean[:D] += state.dx[:D]

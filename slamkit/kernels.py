@@ -1,10 +1,10 @@
 """The linear algebra under a belief: the covariance's lower triangle, and nothing of robots.
 
 ``state.cov`` holds the lower triangle of the active part P_AA; what stands above the diagonal means nothing.
-D = ``state.size[0]`` is its dimension. What is not active rests: its covariance as of the last flush is P⁰, packed in
-``state.store``, and every correction since then is kept in small matrices (Guivant & Nebot, IEEE TRA 17(3), 2001, with
-an active set that grows). With A₀ the C = ``state.size[5]`` coordinates that rested at the flush and are active now,
-b what rests still and M = P⁰[A₀, b]:
+D = ``state.size[ACTIVE]`` is its dimension. What is not active rests: its covariance as of the last flush is P⁰,
+packed in ``state.store``, and every correction since then is kept in small matrices (Guivant & Nebot, IEEE TRA 17(3),
+2001, with an active set that grows). With A₀ the C = ``state.size[COLUMNS]`` coordinates that rested at the flush and
+are active now, b what rests still and M = P⁰[A₀, b]:
 
     P_Ab = Φ M,    P_bb = P⁰_bb - Mᵀ Ψ M,    x_b = x⁰_b + Mᵀ ϑ.
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 from math import isfinite, sqrt
 from typing import Any
 
-from slamkit.compiled import compiled, intrinsics
+from slamkit.compiled import ACTIVE, COLUMNS, CORRECTED, WHOLE, compiled, intrinsics
 
 __all__ = [
     "absorb",
@@ -79,7 +79,7 @@ def propagate(state: Any) -> None:
     Reads ``state.F`` and ``state.Q``; Q is taken symmetric.
     """
     cov, F, Q, Phi = state.cov, state.F, state.Q, state.Phi
-    D = state.size[0]
+    D = state.size[ACTIVE]
     f00, f01, f02 = F[0, 0], F[0, 1], F[0, 2]
     f10, f11, f12 = F[1, 0], F[1, 1], F[1, 2]
     f20, f21, f22 = F[2, 0], F[2, 1], F[2, 2]
@@ -98,7 +98,7 @@ def propagate(state: Any) -> None:
         c = F[i, 0] * p20 + F[i, 1] * p21 + F[i, 2] * p22
         for j in range(i + 1):
             cov[i, j] = a * F[j, 0] + b * F[j, 1] + c * F[j, 2] + Q[i, j]
-    for j in range(state.size[5]):
+    for j in range(state.size[COLUMNS]):
         a, b, c = Phi[0, j], Phi[1, j], Phi[2, j]
         Phi[0, j] = f00 * a + f01 * b + f02 * c
         Phi[1, j] = f10 * a + f11 * b + f12 * c
@@ -109,7 +109,7 @@ def propagate(state: Any) -> None:
 def gather(state: Any, slot: int, count: int) -> None:
     """Copy rows slot … slot+count-1 of the symmetric P into the last rows of ``state.gathered``."""
     cov = state.cov
-    D = state.size[0]
+    D = state.size[ACTIVE]
     for r in range(count):
         source = slot + r
         out = state.gathered[5 - count + r] if count == 2 else state.gathered[r]
@@ -135,7 +135,7 @@ def gather(state: Any, slot: int, count: int) -> None:
 def project_pair(state: Any, slot: int, first: int, second: int) -> None:
     """Rows `first` and `second` of w ← those of H P, for two rows of H that concern one landmark, in one pass."""
     cov, Hp, Hl = state.cov, state.H_pose, state.H_landmark
-    D = state.size[0]
+    D = state.size[ACTIVE]
     w0, w1 = state.w[first][:D], state.w[second][:D]
     a0, b0, c0, d0, e0 = Hp[first, 0], Hp[first, 1], Hp[first, 2], Hl[first, 0], Hl[first, 1]
     a1, b1, c1, d1, e1 = Hp[second, 0], Hp[second, 1], Hp[second, 2], Hl[second, 0], Hl[second, 1]
@@ -190,7 +190,7 @@ def absorb(state: Any, gate: float) -> Any:
     `forward` and `whiten` for this case, which is nearly every case.
     """
     cov, Hp, Hl, y, t, S, L = state.cov, state.H_pose, state.H_landmark, state.y, state.t, state.S, state.L
-    D, s = state.size[0], max(state.slots[0], 3)
+    D, s = state.size[ACTIVE], max(state.slots[0], 3)
     a, b, c, d, e = Hp[0, 0], Hp[0, 1], Hp[0, 2], Hl[0, 0], Hl[0, 1]
     f, g, h, p, q = Hp[1, 0], Hp[1, 1], Hp[1, 2], Hl[1, 0], Hl[1, 1]
     l0, l1 = cov[s], cov[s + 1]
@@ -299,7 +299,7 @@ def forward(L: Any, y: Any, t: Any, first: int, n: int) -> float:
 @compiled("void(state, index)")
 def whiten(state: Any, rows: int) -> None:
     """w ← L⁻¹ w, then dx ← wᵀ t = K y."""
-    D = state.size[0]
+    D = state.size[ACTIVE]
     w, L, t, dx = state.w, state.L, state.t, state.dx[:D]
     for r in range(0, rows, 2):
         a = w[r][:D]
@@ -346,7 +346,7 @@ def subtract_pair(M: Any, n: int, a: Any, b: Any) -> None:
 def downdate(state: Any, rows: int) -> None:
     """P ← P - wᵀw, a symmetric downdate of one triangle: O(rows · D²/2)."""
     cov, w = state.cov, state.w
-    D = state.size[0]
+    D = state.size[ACTIVE]
     for r in range(0, rows - 1, 2):
         subtract_pair(cov, D, w[r], w[r + 1])
     if rows % 2 == 1:
@@ -364,7 +364,7 @@ def record(state: Any, n: int, k: int) -> None:
 
     With g = L⁻¹ H Φ: Φ ← Φ - wᵀg, Ψ ← Ψ + gᵀg, ϑ ← ϑ + gᵀt. Reads H, L, w and t of the update.
     """
-    C, D = state.size[5], state.size[0]
+    C, D = state.size[COLUMNS], state.size[ACTIVE]
     Phi, Psi, g, L, Hp, Hl = state.Phi, state.minus_Psi, state.g, state.L, state.H_pose, state.H_landmark
     p0, p1, p2, theta = Phi[0][:C], Phi[1][:C], Phi[2][:C], state.theta[:C]
     for j in range(n):
@@ -408,7 +408,7 @@ def augment(state: Any, slot: int) -> None:
     The block is written from the new rows, never by a column assignment that would overwrite it.
     """
     cov, G, block, Phi, size = state.cov, state.G_pose, state.block, state.Phi, state.size
-    D = size[0]
+    D = size[ACTIVE]
     gather(state, 0, 3)
     p0, p1, p2 = state.gathered[0][:D], state.gathered[1][:D], state.gathered[2][:D]
     for r in range(2):
@@ -418,12 +418,12 @@ def augment(state: Any, slot: int) -> None:
             row[i] = a * p0[i] + b * p1[i] + c * p2[i]
         for q in range(r + 1):
             cov[slot + r, slot + q] = row[0] * G[q, 0] + row[1] * G[q, 1] + row[2] * G[q, 2] + block[r, q]
-        for j in range(size[5]):
+        for j in range(size[COLUMNS]):
             Phi[slot + r, j] = a * Phi[0, j] + b * Phi[1, j] + c * Phi[2, j]
-        state.owner[slot + r] = size[6]
-        state.local[size[6]] = slot + r
-        size[6] += 1
-    size[0] = D + 2
+        state.owner[slot + r] = size[WHOLE]
+        state.local[size[WHOLE]] = slot + r
+        size[WHOLE] += 1
+    size[ACTIVE] = D + 2
 
 
 @compiled("void(state)")
@@ -433,7 +433,7 @@ def shear(state: Any) -> None:
     It takes a covariance whose lever arms are taken at ``state.points`` to the current mean. The heading is entry 2.
     """
     cov, mean, points, e, g = state.cov, state.mean, state.points, state.gathered[3], state.gathered[4]
-    D = state.size[0]
+    D = state.size[ACTIVE]
     moved = False
     for i in range(D):
         if i != 2 and mean[i] != points[i]:
@@ -471,10 +471,10 @@ def resting_row(state: Any, index: int, out: Any) -> None:
     """out ← P⁰[A₀, index], as the last flush leaves it even where it is not yet written."""
     columns, store, V, U = state.columns, state.store, state.V, state.U
     pending = V.shape[1]
-    for c in range(state.size[5]):
+    for c in range(state.size[COLUMNS]):
         i, j = max(columns[c], index), min(columns[c], index)
         total = store[place(i, j)]
-        if i >= state.size[7]:
+        if i >= state.size[CORRECTED]:
             for r in range(pending):
                 total -= V[i, r] * U[j, r]
         out[c] = total
@@ -487,7 +487,7 @@ def activate(state: Any, slot: int) -> Any:
     With c = P⁰[A₀, j]: P_jA = cᵀΦᵀ, P_jj = P⁰_jj - cᵀΨc, x_j = x⁰_j + cᵀϑ, Φ ← [[Φ, 0], [-cᵀΨ, I]].
     """
     size, cov, Phi, Psi, theta, g = state.size, state.cov, state.Phi, state.minus_Psi, state.theta, state.g
-    D, C = size[0], size[5]
+    D, C = size[ACTIVE], size[COLUMNS]
     column, product = state.gathered[3][:C], state.gathered[4][:C]
     for r in range(2):
         index, new = slot + r, D + r
@@ -514,7 +514,7 @@ def activate(state: Any, slot: int) -> Any:
         for q in range(r + 1):
             i, j = index, slot + q
             total = state.store[place(i, j)]
-            if i >= size[7]:
+            if i >= size[CORRECTED]:
                 for p in range(state.V.shape[1]):
                     total -= state.V[i, p] * state.U[j, p]
             other = column if q == r else state.dx[:C]
@@ -536,7 +536,7 @@ def activate(state: Any, slot: int) -> Any:
             g[q, at] = 0.0
         state.columns[at], state.owner[new], state.local[slot + r] = slot + r, slot + r, new
     Phi[D, C], Phi[D + 1, C + 1] = 1.0, 1.0
-    size[0], size[5] = D + 2, C + 2
+    size[ACTIVE], size[COLUMNS] = D + 2, C + 2
     return D
 
 
@@ -561,7 +561,7 @@ def collect(state: Any, V: Any) -> None:
 def deposit(state: Any, X: Any) -> None:
     """Write P_bA = X (whole, D) and P_AA into the store; the rows of A in X are not read."""
     owner, local, store, cov = state.owner, state.local, state.store, state.cov
-    D = state.size[0]
+    D = state.size[ACTIVE]
     for i in range(X.shape[0]):
         row, start = X[i], place(i, 0)
         if local[i] < 0:
@@ -623,7 +623,7 @@ def save(state: Any) -> None:
     for i in range(6):
         saved[i] = state.memory[i]
     at = 6
-    for i in range(size[0]):
+    for i in range(size[ACTIVE]):
         row, out = state.cov[i][: i + 1], saved[at : at + i + 5]
         out[0], out[1], out[2], out[3] = state.mean[i], state.points[i], state.w[0, i], state.w[1, i]
         for j in range(i + 1):
@@ -656,6 +656,6 @@ def undo(state: Any, D: int) -> None:
         state.S[r, 0], state.S[r, 1] = out[3], out[4]
         state.L[r, 0], state.L[r, 1] = out[5], out[6]
         at += 7
-    for i in range(D, size[0]):
+    for i in range(D, size[ACTIVE]):
         state.local[i] = -1
-    size[0] = size[6] = D
+    size[ACTIVE] = size[WHOLE] = D

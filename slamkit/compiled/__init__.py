@@ -18,6 +18,12 @@ from pathlib import Path
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+#: Entries of ``State.size``: D of what is active; rows of the last update and D of what was active then (-1 once that
+#: has rested); the failing sighting and the status of the last step; columns C of Φ, D of the whole map, first row of
+#: the store that a flush has yet to correct; D of the whole map at the last update; sightings since the step began that
+#: gave no finite numbers.
+ACTIVE, ROWS, ACTIVE_THEN, FAILING, STATUS, COLUMNS, WHOLE, CORRECTED, WHOLE_THEN, ODD = range(10)
+
 __all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics", "models_of"]
 
 

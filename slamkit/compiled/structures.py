@@ -170,10 +170,7 @@ STATE_FIELDS = {
     "cov": matrix,  # (capacity, capacity) lower triangle, likewise
     "points": vector,  # (capacity,) where the lever arms of the Jacobians are taken, if not at the mean
     "memory": vector,  # (6,) a variant's own few numbers
-    # (10,) D of what is active; rows of the last update, D at that time; failing sighting, status; C, D of the whole
-    # map, first row of the store that a flush has yet to correct; D of the whole map at the last update; sightings
-    # since the step began that gave no finite numbers
-    "size": integers,
+    "size": integers,  # (10,) see ACTIVE and what follows it in `slamkit.compiled`
     "work": vector,  # (5,) what decides when to flush, see `slamkit.filters.steps.upkeep`
     "Phi": matrix,  # (capacity, columns) Φ, see `slamkit.kernels`
     "minus_Psi": matrix,  # (columns, columns) lower triangle of -Ψ

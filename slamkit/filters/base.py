@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 from slamkit.belief import BLOCK, Belief, Storage
-from slamkit.compiled import Compiled, Models, Policy, call, models_of
+from slamkit.compiled import FAILING, ROWS, STATUS, Compiled, Models, Policy, call, models_of
 from slamkit.errors import DivergenceError, InputError, LogFileError, ModelError, SlamkitError, UnsupportedError
 from slamkit.filters import standard, steps
 from slamkit.logs import History, Log, Scan, Schedule, decode_id, encode_id, read_archive, reading, write_archive
@@ -219,7 +219,7 @@ class LandmarkFilter:
                     # A call is to take a while, but an interrupt is to be heard and progress to be seen.
                     stretch = 2 * stretch if time.perf_counter() - begun < LONG_CALL else max(1, stretch // 2)
                 self._name(log.landmark_ids, slot_of)
-                status = int(self._belief.state.size[4])
+                status = int(self._belief.state.size[STATUS])
                 if status == steps.DUE:
                     self._belief.tend()
                 elif status == steps.FULL:
@@ -315,7 +315,7 @@ class LandmarkFilter:
         The same numbers as filterpy's dense update, at O(r D²) instead of O(D³).
         """
         if z is None:
-            self._belief.state.size[1] = 0
+            self._belief.state.size[ROWS] = 0
             return
         x = self.x
         measured = np.atleast_1d(np.asarray(z, dtype=float))
@@ -486,7 +486,7 @@ class LandmarkFilter:
 
     @property
     def _rows(self) -> int:
-        return int(self._belief.state.size[1])
+        return int(self._belief.state.size[ROWS])
 
     @property
     def z(self) -> Array:
@@ -662,7 +662,7 @@ class LandmarkFilter:
         if not (np.all(np.isfinite(state.pose)) and np.all(np.isfinite(state.F)) and np.all(np.isfinite(state.Q))):
             name = type(self.motion).__name__
             return ModelError(f"{name} gave a pose, F or Q that is not finite for u = {u} at pose {pose}{where}")
-        n = int(state.size[3])
+        n = int(state.size[FAILING])
         if n < len(ids):
             i, name = ids[n], type(self.sensor).__name__
             if i in self._belief.slots:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from slamkit.compiled import compiled
+from slamkit.compiled import ACTIVE, compiled
 from slamkit.se2 import wrap_angle
 
 
@@ -78,7 +78,7 @@ def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
 @compiled("void(state)")
 def retract(state: Any) -> None:
     """x ← x + dx, heading wrapped."""
-    D = state.size[0]
+    D = state.size[ACTIVE]
     mean, dx = state.mean[:D], state.dx[:D]
     for i in range(D):
         mean[i] += dx[i]

@@ -26,7 +26,19 @@ from typing import Any
 
 import numpy as np
 
-from slamkit.compiled import compiled, intrinsics
+from slamkit.compiled import (
+    ACTIVE,
+    ACTIVE_THEN,
+    COLUMNS,
+    FAILING,
+    ODD,
+    ROWS,
+    STATUS,
+    WHOLE,
+    WHOLE_THEN,
+    compiled,
+    intrinsics,
+)
 from slamkit.kernels import (
     SMALL,
     absorb,
@@ -88,7 +100,7 @@ def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
         if isfinite(total):
             kept += 1
         else:
-            size[9] += 1
+            size[ODD] += 1
     return kept
 
 
@@ -158,11 +170,11 @@ def advance(state: Any, n: int) -> float:
 def settle(policy: Any, state: Any, n: int, k: int) -> int:
     """Carry out an update that is prepared."""
     size = state.size
-    size[1], size[2], size[8] = n * k, size[0], size[6]
+    size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN] = n * k, size[ACTIVE], size[WHOLE]
     downdate(state, n * k)
     # The mean moves before dx is used otherwise.
     policy.retract(state)
-    if size[5] > 0:
+    if size[COLUMNS] > 0:
         record(state, n, k)
     return OK
 
@@ -221,10 +233,10 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
 @compiled("index(policy, models, state, index, vector)", generic=True)
 def begin(policy: Any, models: Any, state: Any, place: int, z: Any) -> Any:
     """Start a landmark from its first sighting; its slot."""
-    slot = state.size[0]
+    slot = state.size[ACTIVE]
     policy.start(models, state, slot, place, z)
     if not isfinite(state.mean[slot] + state.mean[slot + 1]):
-        state.size[9] += 1
+        state.size[ODD] += 1
     augment(state, slot)
     return slot
 
@@ -280,9 +292,9 @@ def awaken(state: Any, slots: Any) -> bool:
             new += 2
         elif local[slot] < 0:
             resting += 2
-    if size[0] + new + resting > state.mean.shape[0] or size[6] + new > local.shape[0]:
+    if size[ACTIVE] + new + resting > state.mean.shape[0] or size[WHOLE] + new > local.shape[0]:
         return False
-    if resting > 0 and size[5] + resting > state.theta.shape[0]:
+    if resting > 0 and size[COLUMNS] + resting > state.theta.shape[0]:
         return False
     for i in range(slots.shape[0]):
         slot = slots[i]
@@ -309,10 +321,10 @@ def upkeep(state: Any, n: int) -> int:
     price; the columns at which a flush is due anyway; the dimension above which the belief is compressed.
     """
     size, work = state.size, state.work
-    C = size[5]
+    C = size[COLUMNS]
     if C == 0:
-        return DUE if size[6] > work[4] else OK
-    D, need, whole = float(size[0]), 3.0 + 2.0 * n, float(size[6])
+        return DUE if size[WHOLE] > work[4] else OK
+    D, need, whole = float(size[ACTIVE]), 3.0 + 2.0 * n, float(size[WHOLE])
     work[0] += n * max(0.0, D * D + 2.0 * D * C + C * C - 4.0 * need * need)
     if state.V.shape[1] > 0 or work[0] > work[1] * need * whole * whole + work[2] or work[3] < C:
         return DUE
@@ -355,23 +367,23 @@ def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z:
     else:
         for i in range(3):
             state.pose[i] = state.mean[i]
-    size, D = state.size, state.size[0]
-    before = size[1], size[2], size[8]
-    size[9] = 0
-    if size[5] == 0 and D <= SMALL and size[1] <= 2 and not policy.batch:
+    size, D = state.size, state.size[ACTIVE]
+    before = size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN]
+    size[ODD] = 0
+    if size[COLUMNS] == 0 and D <= SMALL and size[ROWS] <= 2 and not policy.batch:
         # To save so little is cheaper than to ask every sighting first; only where one fails they are asked after all.
         save(state)
         status = advance_and_take(policy, models, state, slots, z, dt)
-        if size[9] == 0:
+        if size[ODD] == 0:
             rename(state, slots)
             return upkeep(state, slots.shape[0]) if status == OK else status
         for i in range(slots.shape[0]):
             slots[i] = slots[i] if slots[i] < D else -1
         undo(state, D)
-        size[1], size[2], size[8] = before
+        size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN] = before
     bad = first_bad(models, state, slots, z)
     if bad >= 0:
-        size[3] = bad
+        size[FAILING] = bad
         rename(state, slots)
         return BAD_SIGHTING
     status = advance_and_take(policy, models, state, slots, z, dt)
@@ -400,7 +412,7 @@ def run(
 ) -> int:  # fmt: skip
     """Steps begin_at … end_at-1 of a schedule, recorded, until one is not OK; how many are done.
 
-    The last status is in size[4]: OK at the end, DUE after a step that is done, else that of the step that was refused.
+    The last status stays in the state: OK at the end, DUE after a step that is done, else that of the one refused.
 
     ``which[j]`` is the log's landmark in observation j, ``slot_of`` maps it to its slot (-1: not in the map yet);
     the true poses and landmarks are empty unless the filter is told them.
@@ -417,7 +429,7 @@ def run(
         status = step(policy, models, state, controls[max(control[i], 0)], dt[i], slots[:n], z[lo : lo + n])
         for j in range(n):
             slot_of[which[lo + j]] = slots[j]
-        state.size[4] = status
+        state.size[STATUS] = status
         if status != OK and status != DUE:
             return i
         policy.report(state, poses[i], covariances[i])

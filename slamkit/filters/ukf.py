@@ -11,7 +11,7 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit import kernels, se2
-from slamkit.compiled import Compiled, compiled
+from slamkit.compiled import FAILING, STATUS, Compiled, compiled
 from slamkit.errors import InputError
 from slamkit.filters import steps
 from slamkit.filters.base import LandmarkFilter, PolicyFunctions
@@ -448,7 +448,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
             slots = slot_of[which[rows]]
             status = self._whole_step(controls[max(control[i], 0)], dt[i], slots, z[rows])
             slot_of[which[rows]] = slots
-            state.size[4] = status
+            state.size[STATUS] = status
             if status != steps.OK:
                 return i
             self._policy.report(state, poses[i], covariances[i])
@@ -469,7 +469,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
             bad = self._first_bad(slots, z)
             if bad >= 0:
                 belief.restore(before)
-                state.size[3] = bad
+                state.size[FAILING] = bad
                 return steps.BAD_SIGHTING
             self._whole_scan(slots, z)
         except Exception:
