@@ -370,7 +370,7 @@ def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z:
     size, D = state.size, state.size[ACTIVE]
     before = size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN]
     size[ODD] = 0
-    if size[COLUMNS] == 0 and D <= SMALL and size[ROWS] <= 2 and not policy.batch:
+    if size[COLUMNS] == 0 and D <= SMALL and size[ROWS] <= 2 and models.fused and not policy.batch:
         # To save so little is cheaper than to ask every sighting first; only where one fails they are asked after all.
         save(state)
         status = advance_and_take(policy, models, state, slots, z, dt)
