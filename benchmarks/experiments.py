@@ -393,72 +393,79 @@ def standing_table(rows: Sequence[Row]) -> list[str]:
     )  # fmt: skip
 
 
-SUMMARY = ("world, runs", "filter", "measure", "measured", "published or reference", "limit", "met")
+SUMMARY = ("world, runs", "filter", "measure", "measured", "in more runs", "published or reference", "limit", "met")
 
 
 def summary_rows(results: Row) -> list[tuple[str, ...]]:
     """What was aimed at and what came out, as SUMMARY says."""
     rows: list[tuple[str, ...]] = []
-    for letter in results:
+    for letter, found in results.items():
         if letter in SENSORS:
-            rows += loop_summary(letter, results[letter])
+            rows += loop_summary(letter, found["rows"], {row["filter"]: row for row in found["longer"]})
         elif letter == "B":
-            rows += ring_summary(results["B"]["rows"]) + ring_summary(results["B"]["longer"])
+            rows += ring_summary(found["rows"], found["longer"])
         else:
-            rows += standing_summary(results["C"]["rows"])
+            rows += standing_summary(found["rows"])
     return rows
 
 
-def loop_summary(letter: str, results: Row) -> list[tuple[str, ...]]:
+def loop_summary(letter: str, rows: Sequence[Row], longer: Mapping[str, Row]) -> list[tuple[str, ...]]:
     """Experiments A and D: the ideal filter and the EKF in numbers, the judged ones over the ideal."""
-    rows, reference = [], {row["filter"]: row for row in results["rows"]}
-    for row in results["rows"][:2]:
-        cells = [
-            ", ".join(plus_minus(row[key][value], row[key][se], digits) for key, digits in DIGITS.items())
-            for value, se in (("value", "se"), ("reference", "reference_se"))
-        ]
-        of = "pose NEES (3), position RMSE [m], heading RMSE [°]"
-        rows.append((f"{letter}: loop, {row['runs']}", row["filter"], of, *cells, "–", "–"))
-    for row in (*results["rows"], *results["longer"]):
-        if row["within"] is not None:
-            known = {key: (reference[row["filter"]][key], reference["ideal"][key]) for key in MEASURES}
-            rows.append(
-                (
-                    f"{letter}: loop, {row['runs']}",
-                    row["filter"],
-                    "the same over the ideal's",
-                    ", ".join(plus_minus(r["value"], r["se"], 3) for r in row["to_ideal"].values()),
-                    ", ".join(
-                        "–" if a["reference"] is None else f"{a['reference'] / b['reference']:.2f}"
-                        for a, b in known.values()
-                    ),
-                    "1 ± 0.1",
-                    within_text(row),
-                )
+
+    def numbers(row: Row, value: str, se: str) -> str:
+        return ", ".join(plus_minus(row[key][value], row[key][se], digits) for key, digits in DIGITS.items())
+
+    def ratios(row: Row) -> str:
+        return ", ".join(plus_minus(r["value"], r["se"], 3) for r in row["to_ideal"].values())
+
+    def known(row: Row, key: str) -> str:
+        a, b = row[key]["reference"], rows[0][key]["reference"]
+        return "–" if a is None else f"{a / b:.2f}"
+
+    found: list[tuple[str, ...]] = []
+    for row in rows:
+        name, more = row["filter"], longer.get(row["filter"])
+        start = (f"{letter}: loop, {row['runs']}" + (f" → {more['runs']}" if more else ""), name)
+        if name in ("ideal", "ekf"):
+            measure = "pose NEES (3), position RMSE [m], heading RMSE [°]"
+            continued = numbers(more, "value", "se") if more else "–"
+            cells = (numbers(row, "value", "se"), continued, numbers(row, "reference", "reference_se"), "–", "–")
+            found.append((*start, measure, *cells))
+        elif more:
+            expected = ", ".join(known(row, key) for key in MEASURES)
+            verdicts = f"{within_text(row)}; {within_text(more)}"
+            found.append(
+                (*start, "the same over the ideal's", ratios(row), ratios(more), expected, "1 ± 0.1", verdicts)
             )
-    return rows
+    return found
 
 
-def ring_summary(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+def ring_summary(rows: Sequence[Row], longer: Sequence[Row]) -> list[tuple[str, ...]]:
     """Experiment B: one row a filter."""
+
+    def of(name: str, results: Sequence[Row]) -> tuple[str, str]:
+        own = [row for row in results if row["filter"] == name]
+        cells = [plus_minus(row["value"], row["se"], RING_MEASURES[row["measure"]][2]) for row in own]
+        return ", ".join(cells), "yes" if all(row["within"] for row in own) else "NO"
+
     return [
         (
-            f"B: ring, {rows[0]['runs']}",
+            f"B: ring, {rows[0]['runs']} → {longer[0]['runs']}",
             name,
             "RMSE of heading [°] and position [m], NEES / dof of both",
-            ", ".join(plus_minus(row["value"], row["se"], RING_MEASURES[row["measure"]][2]) for row in own),
-            ", ".join(plus_minus(row["published"], row["published_se"] or None, 2) for row in own),
+            of(name, rows)[0],
+            of(name, longer)[0],
+            ", ".join(f"{value:.2f}" for value in published),
             "3 SE",
-            "yes" if all(row["within"] for row in own) else "NO",
+            f"{of(name, rows)[1]}; {of(name, longer)[1]}",
         )
-        for name in PUBLISHED
-        for own in [[row for row in rows if row["filter"] == name]]
+        for name, published in PUBLISHED.items()
     ]
 
 
 def standing_summary(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     """Experiment C: one row an order for the EKF, one for the filters that keep what they know."""
-    found = []
+    found: list[tuple[str, ...]] = []
     for order in ORDERS:
         own = [row for row in rows if row["order"] == order]
         found.append(
@@ -467,6 +474,7 @@ def standing_summary(rows: Sequence[Row]) -> list[tuple[str, ...]]:
                 f"ekf, {order}",
                 f"claimed [°] from σ₀ = {', '.join(format(row['sigma_0_deg'], 'g') for row in own)}°",
                 ", ".join(plus_minus(row["claimed_deg"]["value"], row["claimed_deg"]["se"], 3) for row in own),
+                "–",
                 ", ".join(f"{row['reference_deg']:.3f}" for row in own),
                 "2 deviations of a run",
                 "yes" if all(row["within"] for row in own) else "NO",
@@ -474,9 +482,8 @@ def standing_summary(rows: Sequence[Row]) -> list[tuple[str, ...]]:
         )
     largest = max(change for row in rows for change in row["largest_relative_change"].values())
     kept = all(all(row["kept"].values()) for row in rows)
-    measure = "largest change of σ₀, relative"
-    who = ", ".join(JUDGED)
-    return [*found, (found[0][0], who, measure, f"{largest:.0g}", "0", f"{KEPT:.0e}", "yes" if kept else "NO")]
+    cells = ("largest change of σ₀, relative", f"{largest:.0g}", "–", "0", f"{KEPT:.0e}", "yes" if kept else "NO")
+    return [*found, (found[0][0], ", ".join(JUDGED), *cells)]
 
 
 def loop_section(letter: str, results: Row) -> list[str]:
@@ -559,6 +566,7 @@ def markdown(facts: Row, results: Row) -> str:
         "",
     ]
     lines += [*table(SUMMARY, summary_rows(results), 3), ""]
+    lines += ["In more runs: the same study continued. Met: as named, and then in more runs. Details follow.", ""]
     for letter in results:
         if letter in SENSORS:
             lines += loop_section(letter, results[letter])
@@ -782,9 +790,9 @@ def main(
         results[letter] = {"seconds": time.perf_counter() - begin, **found}
     out.mkdir(parents=True, exist_ok=True)
     text = markdown(facts, results)
-    for row in summary_rows(results):
-        where, name, of, measured, known, limit, met = row
-        console.print(f"{where}, {name}: {of}", f"    {measured}; {known}; limit {limit}: {met}", sep="\n", **plain)
+    for where, name, measure, measured, continued, known, limit, met in summary_rows(results):
+        console.print(f"{where}, {name}: {measure}", **plain)
+        console.print(f"    {measured}; in more runs: {continued}; expected: {known}; limit {limit}: {met}", **plain)
     write_json(out / "experiments.json", {**facts, "results": results})
     (out / "experiments.md").write_text(text, encoding="utf-8")
     draw(results, out / "experiments.png")
