@@ -15,7 +15,7 @@ import numpy as np
 import typer
 from numpy.typing import ArrayLike
 from rich.console import Console
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, DownloadColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 from typer.core import TyperGroup
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from slamkit.study import Study
 
 DEMO_SEED = 1
+DEMO_RUNS = 10  # of the comparison
 MODELS_FILE = "models.json"
 FIGURES = (".png", ".pdf", ".svg")  # what slamkit.plots.save writes
 
@@ -173,7 +174,10 @@ def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to write.")] = Path("slamkit-demo"),
     quiet: Quiet = False,
 ) -> None:
-    """Simulate the loop world (always the same run), run dead reckoning and EKF-SLAM, and write figures and files."""
+    """Simulate the loop world (always the same run), run dead reckoning and EKF-SLAM, and write figures and files.
+
+    In the end every filter is compared on a few runs of the standing world, where nothing measures the heading.
+    """
     world = WORLDS["loop"]()
     log = simulate(world, np.random.default_rng(DEMO_SEED))
     _write_log(out / "log", world, log)
@@ -181,6 +185,11 @@ def demo(
     assessment = _estimate(_maker("ekf", world), log, world.pose, _Outputs(out=out, quiet=quiet), "loop world")
     write_figure(out / "correlation.png", _correlation_figure(_maker("ekf", world)(), log))
     _print(quiet, _table("Ten loops of a simulated robot", [assessment]), f"Figures, log and numbers are in {out}")
+    study = _compare(quiet, list(FILTERS), WORLDS["standing"](), DEMO_RUNS, DEMO_SEED)
+    _write_study(out / "comparison", study)
+    title = f"A robot that stands still and looks {len(study.times)} times: {study.runs} runs"
+    what = f"slamkit compare --world standing --filters all --runs {study.runs} --seed {study.seed}"
+    _print(quiet, "", _comparison(study, title), *_said(study), f"Its figures are in {out / 'comparison'} ({what})")
 
 
 @run_app.command("mrclam", epilog="Example: slamkit run mrclam MRCLAM_Dataset1.zip --robot 1 --json run.json")
@@ -301,7 +310,12 @@ def compare_filters(
         typer.Option("--world", metavar="WORLD", help=f"One of {', '.join(WORLDS)}, or a folder of CSV files."),
     ],
     filters: Annotated[
-        str, typer.Option("--filters", metavar="A,B,…", help=f"Estimators, out of {', '.join(FILTERS)}.")
+        str,
+        typer.Option(
+            "--filters",
+            metavar="A,B,…",
+            help=f"Estimators, out of {', '.join(FILTERS)}; or all of them: all. ukf-full takes milliseconds a step.",
+        ),
     ] = "ekf,fej,oc,invariant,iterated,ideal,ukf",
     runs: Annotated[
         int | None, typer.Option("--runs", metavar="M", min=1, help="Simulated runs; 50 by default. A log is one run.")
@@ -316,17 +330,16 @@ def compare_filters(
     quiet: Quiet = False,
 ) -> None:
     """Compare filters on the same runs: accuracy, consistency, and what they claim to know of their gauge."""
-    from slamkit.study import compare
-
-    names = [name.strip() for name in filters.split(",") if name.strip()]
+    names = list(FILTERS) if filters == "all" else [name.strip() for name in filters.split(",") if name.strip()]
     for name in names:
         _known(name)
+    _Outputs(json_, None, out, None, quiet).prepare()
     models: dict[str, Any] = {}
-    source: World | Log
+    source: World | Path
     if world in WORLDS:
         source = WORLDS[world]()
     elif Path(world).is_dir():
-        source, columns, file = Log.read_csv(world), csv_columns(world), _read_models(Path(world) / MODELS_FILE)
+        source, columns, file = Path(world), csv_columns(world), _read_models(Path(world) / MODELS_FILE)
         models = {
             "motion": _choose("motion", MOTIONS, columns[0], None, None, file.motion),
             "sensor": _choose("sensor", SENSORS, columns[1], None, None, file.sensor),
@@ -336,26 +349,21 @@ def compare_filters(
         }
     else:
         raise InputError(f"world is {world!r}, expected one of {', '.join(WORLDS)} or a folder of CSV files")
-    with _bar(quiet, BarColumn()) as bar:
-        task = bar.add_task("runs", total=None)
-        study = compare(
-            names,
-            source,
-            runs,
-            seed,
-            jobs=jobs,
-            folder=None if out is None else out / "runs",
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-            **models,
-        )
+    kept = None if out is None else out / "runs"
+    try:
+        study = _compare(quiet, names, source, runs, seed, jobs=jobs, folder=kept, **models)
+    except KeyboardInterrupt:
+        if kept is not None:
+            typer.echo(f"interrupted; what is done is in {kept}, and the same command goes on from there", err=True)
+        raise
     if json_ is not None:
         write_json(json_, study.summary())
     if out is not None:
-        (out / "report.md").write_text(study.report(), encoding="utf-8")
-        write_json(out / "summary.json", study.summary())
-        for name, figure in study.figures().items():
-            write_figure(out / f"{name}.png", figure)
-    _print(quiet, _comparison(study), *([] if out is None else [f"Report and figures are in {out}"]))
+        _write_study(out, study)
+    runs_of = f"{study.runs} run{'' if study.runs == 1 else 's'}"
+    title = f"{study.world}: {runs_of if world in WORLDS else 'a recorded log, aligned with the truth it has'}"
+    where = [] if out is None else [f"Report and figures are in {out}"]
+    _print(quiet, _comparison(study, title), *_said(study), *where)
 
 
 @app.command("fetch", epilog="Example: slamkit fetch mrclam 1 --folder data")
@@ -573,11 +581,12 @@ def _estimate(make: Callable[[], Any], log: Log, pose: ArrayLike, outputs: _Outp
     f = make()
     titled = f"{title}: {plots.style(f.name).label}"
     try:
-        # What is timed must not be the loading of compiled code; if the first step is to blame, the run will say so.
-        with suppress(SlamkitError):
-            make().run(_beginning(log, 1))
         with _bar(outputs.quiet, BarColumn(), TextColumn("{task.completed:.0f}/{task.total:.0f} steps")) as bar:
-            task = bar.add_task(titled, total=len(log))
+            task = bar.add_task(f"{titled}: loading (at the first run, compiling: half a minute)", total=len(log))
+            # What is timed must not be the loading of compiled code; if the first step is to blame, the run says so.
+            with suppress(SlamkitError):
+                make().run(_beginning(log, 1))
+            bar.update(task, description=titled)
             history = f.run(log, progress=lambda done, total: bar.update(task, completed=done, total=total))
     except (SlamkitError, KeyboardInterrupt) as error:
         history = getattr(error, "history", None)
@@ -592,6 +601,27 @@ def _estimate(make: Callable[[], Any], log: Log, pose: ArrayLike, outputs: _Outp
     assessment = assess(history, log, f.motion, pose)
     outputs.write(assessment, log, f, titled)
     return assessment
+
+
+def _compare(
+    quiet: bool, filters: Sequence[str], world: World | Path, runs: int | None, seed: int, **more: Any
+) -> Study:
+    """A study, with a bar."""
+    from slamkit.study import compare
+
+    with _bar(quiet, BarColumn(), MofNCompleteColumn()) as bar:
+        task = bar.add_task(f"comparing {len(filters)} filters", total=None)
+        return compare(
+            filters, world, runs, seed, progress=lambda n, of: bar.update(task, completed=n, total=of), **more
+        )
+
+
+def _write_study(folder: Path, study: Study) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "report.md").write_text(study.report(), encoding="utf-8")
+    write_json(folder / "summary.json", study.summary())
+    for name, figure in study.figures().items():
+        write_figure(folder / f"{name}.png", figure)
 
 
 @contextmanager
@@ -660,24 +690,60 @@ def _table(title: str, runs: Sequence[Assessment]) -> Table:
     return table
 
 
-def _comparison(study: Study) -> Table:
-    """One filter a row."""
-    table = Table(title=f"{study.world}, {study.runs} run{'' if study.runs == 1 else 's'}")
-    table.add_column("")
-    columns = {
-        "position RMSE [m]": "position_rmse_m",
-        "heading RMSE [deg]": "heading_rmse_deg",
-        "pose NEES (3)": "pose_nees",
-        "relative NEES a dof (1)": "relative_nees_per_dof",
-        "nullity (3)": "nullity",
-        "diverged": "diverged",
-    }
-    for title in columns:
-        table.add_column(title, justify="right")
-    for name, numbers in study.summary().items():
-        values = [numbers[key] for key in columns.values()]
-        table.add_row(name, *[str(v) if isinstance(v, int) else _number(v) for v in values])
+#: Columns of the table of a comparison: with a truth, and without one.
+JUDGED = {
+    "position RMSE [m]": "position_rmse_m",
+    "heading RMSE [deg]": "heading_rmse_deg",
+    "pose NEES (3)": "pose_nees",
+    "gauge NEES (3)": "gauge_nees",
+    "relative NEES a dof (1)": "relative_nees_per_dof",
+    "nullity (3)": "nullity",
+}
+UNJUDGED = {
+    "NIS a dof (1)": "nis_per_dof",
+    "nullity (3)": "nullity",
+    "gauge deviation falls by": "gauge_deviation_drop",
+    "stochastic gauge [m]": "stochastic_gauge_m",
+    "time a step [µs]": "seconds_per_step",
+}
+
+
+def _comparison(study: Study, title: str) -> Table:
+    """One filter a row; in parentheses, what a consistent filter is expected to have."""
+    summary = study.summary()
+    judged = any(numbers["pose_nees"] is not None for numbers in summary.values())
+    table = Table(title=Text(title))
+    table.add_column("", no_wrap=True)
+    columns = JUDGED if judged else UNJUDGED
+    for heading in columns:
+        table.add_column(heading, justify="right", min_width=max(map(len, heading.split())))
+    for name, numbers in summary.items():
+        table.add_row(name, *[_figure_of(key, numbers[key]) for key in columns.values()])
     return table
+
+
+def _figure_of(key: str, value: float | None) -> str:
+    if value is not None and key in ("gauge_deviation_drop", "stochastic_gauge_m"):
+        return f"{value:.0e}" if value < 5e-4 else f"{value:.3f}"
+    return _number(None if value is None else 1e6 * value if key == "seconds_per_step" else value)
+
+
+def _said(study: Study) -> list[str]:
+    """What stands below the table: the bounds, what the numbers say, and what went wrong."""
+    summary = study.summary()
+    bounds = []
+    for name, key in (("pose NEES", "pose_nees"), ("gauge NEES", "gauge_nees"), ("relative NEES", "relative_nees")):
+        of = next((s for s in summary.values() if s[f"{key}_low"] is not None), None)
+        if of is not None:
+            bounds.append(f"{name} {of[f'{key}_low']:.2f} to {of[f'{key}_high']:.2f}")
+    wrong = []
+    for name, s in summary.items():
+        if s["diverged"]:
+            why = next((f" ({t.error})" for t in study.failures if t.filter == name and t.error), "")
+            wrong.append(f"{name} {s['diverged']} of {s['runs']}{why}")
+    said = [f"Consistent (95 %): {', '.join(bounds)}"] if bounds else []
+    said += [" ".join(study.findings())] if study.findings() else []
+    return [*said, *([f"Failed or diverged: {', '.join(wrong)}"] if wrong else [])]
 
 
 def _microseconds(seconds: float | None, steps: int) -> float | None:

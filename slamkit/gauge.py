@@ -132,30 +132,35 @@ def nullity(filter: LandmarkFilter, log: Log, tolerance: float = 1e-6) -> Nullit
     Raises
     ------
     InputError
-        The tolerance is out of its interval, or the log does not fit the filter.
+        The tolerance is out of its interval, the log does not fit the filter, or the filter is an unscented one with
+        sigma points over the whole state: its regressions tie every landmark to every other and leave no such H.
 
     Notes
     -----
     The matrix stacks R^(-1/2) H_k Φ_{k-1} … Φ_0 with the Jacobians that the estimator really used in each of its
     updates. A landmark that is new at step k enters as the measurement that its first sighting is:
     H = [-G_x, I] with the noise G_z R G_zᵀ, so that a wrong initialisation shows, too. For the invariant filter Φ
-    includes the passage to the new mean. The steps run as Python, about a millisecond each.
+    includes the passage to the new mean, for the robocentric filter the passage to the robot's new frame. The latter's
+    three directions are those of the start as the robot sees it, which no measurement of landmarks touches at all. The
+    steps run as Python, about a millisecond each.
     Huang, Mourikis & Roumeliotis, IJRR 29(5):502-528 (2010), whose matrix takes its landmarks for known to the map.
     """
     if not 0 < tolerance < 1:
         raise InputError(f"tolerance is {tolerance}, expected a share of the largest singular value in (0, 1)")
-    if not filter._linearises_in_world():
-        raise InputError(
-            f"the nullity of {filter.name} cannot be recorded: it needs sparse Jacobians in the frame of the world"
-        )
-    f, sightings = _recording(filter)
+    if not filter._leaves_jacobians():
+        raise InputError(f"the nullity of {filter.name} cannot be recorded: its steps leave no sparse Jacobians")
+    f, sightings, corrected = _recording(filter)
     D = f.dim_x + 2 * sum(i not in f.landmarks for i in log.landmark_ids)
-    Phi, rows = np.eye(D), [np.zeros((0, D))]
+    own = f.base - 3  # a belief in a frame of its own begins with the robot there, whose error starts at zero
+    Phi, rows = np.eye(own + D)[:, own:], [np.zeros((0, D))]
     for dt in _steps(f, log):
         if dt > 0:
             Phi[:3] = f._belief.state.F @ Phi[:3]
         rows += [H[:, :3] @ Phi[:3] + H[:, 3:] @ Phi[slot : slot + 2] for slot, H in sightings]
         sightings.clear()
+        if corrected:
+            f._change_frame(Phi, corrected[-1])
+            corrected.clear()
         before = f._feet()
         f._settle()
         Phi[: f.dim_x] += np.outer(_turned(f._feet() - before), Phi[2])
@@ -518,12 +523,16 @@ def _steps(filter: LandmarkFilter, log: Log) -> Iterator[float]:
         yield step.dt
 
 
-def _recording(filter: LandmarkFilter) -> tuple[LandmarkFilter, list[tuple[int, Array]]]:
-    """A copy that runs as Python, and the list in which it leaves slot and whitened [H_pose, H_landmark] (k, 5)."""
+def _recording(filter: LandmarkFilter) -> tuple[LandmarkFilter, list[tuple[int, Array]], list[Array]]:
+    """A copy that runs as Python, and what it leaves in two lists.
+
+    First slot and whitened [H_pose, H_landmark] (k, 5) of each sighting, then the pose (3,) after each correction.
+    """
     f = copy.deepcopy(filter)
     policy = f._new_policy()
     own = policy.plain
     sightings: list[tuple[int, Array]] = []
+    corrected: list[Array] = []
 
     def keep(slots: Any, H: Array, noise: Array) -> None:
         sightings.extend(zip([int(s) for s in slots], np.linalg.solve(np.linalg.cholesky(noise), H), strict=True))
@@ -534,6 +543,7 @@ def _recording(filter: LandmarkFilter) -> tuple[LandmarkFilter, list[tuple[int, 
         H = np.hstack([state.H_pose[:rows], state.H_landmark[:rows]])
         keep(state.owner[state.slots[: rows // k]], H.reshape(-1, k, 5), state.noise[:rows].reshape(-1, k, k))
         own.retract(state)
+        corrected.append(state.mean[:3].copy())
 
     def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
         own.start(models, state, slot, place, z)
@@ -541,7 +551,7 @@ def _recording(filter: LandmarkFilter) -> tuple[LandmarkFilter, list[tuple[int, 
 
     policy.plain = SimpleNamespace(**{**vars(own), "retract": retract, "start": start})
     f._policy, f._models = policy, Models(compiled=False, **f._models.fields)
-    return f, sightings
+    return f, sightings, corrected
 
 
 def _turned(points: Array) -> Array:

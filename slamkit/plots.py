@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
 
 Array = NDArray[np.float64]
 Artists = dict[str, "list[Artist]"]
@@ -785,11 +786,13 @@ def plot_nees(
     probability: float = 0.95,
     label: str = "NEES",
     log: bool | None = None,
+    points: int = 400,
     legend: bool = True,
 ) -> Artists:
     """Mean NEES over the runs of every filter over time, with its χ² band.
 
-    The mean of M independent runs of a consistent filter is χ²_{Md}/M (Bar-Shalom, Li & Kirubarajan 2001, 5.4).
+    The mean of M independent runs of a consistent filter is χ²_{Md}/M (Bar-Shalom, Li & Kirubarajan 2001, 5.4) at one
+    instant; means over several steps, too, scatter less.
 
     Parameters
     ----------
@@ -806,6 +809,8 @@ def plot_nees(
         Of the vertical axis.
     log : bool, optional
         Logarithmic axis; by default where a mean lies above five times the band.
+    points : int
+        A longer run is drawn by this many means over consecutive steps at most.
     legend : bool
         False where :func:`shared_legend` or the caller makes one.
 
@@ -833,14 +838,15 @@ def plot_nees(
         ]
     }
     ax.axhline(dof, color="0.4", linewidth=0.6, zorder=0.6)
-    means = {name: _mean(v) for name, v in values.items()}
-    artists |= _lines(ax, t, means)
+    n = max(1, -(-len(t) // points))
+    means = {name: _block_means(_mean(v), n) for name, v in values.items()}
+    artists |= _lines(ax, _block_means(t, n), means)
     highest = max((float(np.nanmax(m)) for m in means.values() if np.isfinite(m).any()), default=high)
     if highest > 5 * high if log is None else log:
         _log_scale(ax)
     else:
         ax.set_ylim(0, 1.05 * max(highest, 1.5 * high))
-    ax.set(xlabel="time [s]", ylabel=label)
+    ax.set(xlabel=_time_label(n), ylabel=label)
     ax.margins(x=0)
     if legend:
         _legend(ax)
@@ -856,9 +862,11 @@ def plot_claim(
     *,
     sigmas: float = 3.0,
     label: str = "heading error [deg]",
+    lines: int = 8,
+    points: int = 400,
     legend: bool = True,
 ) -> Artists:
-    """What one filter claims against what it does: the errors of all runs, their spread and the claimed ±3σ.
+    """What one filter claims against what it does: the errors of some runs, the spread of all and the claimed ±3σ.
 
     Parameters
     ----------
@@ -872,6 +880,11 @@ def plot_claim(
     sigmas : float
     label : str
         Of the vertical axis.
+    lines : int
+        The errors of the first runs are drawn, so many at most; claim and spread are over all of them.
+    points : int
+        In a longer run claim and spread are root means over consecutive steps, too, so that there are no more points
+        than these; of the errors as many steps are drawn.
     legend : bool
         False where :func:`shared_legend` or the caller makes one.
 
@@ -879,28 +892,46 @@ def plot_claim(
     -------
     dict
         errors (one line a run), band (claimed: ±sigmas times the root mean variance), spread (±sigmas times the
-        root mean square error).
+        root mean square error; empty for one run, of which it says nothing).
     """
+    from matplotlib.patheffects import withStroke
+
     t, look = np.asarray(times, dtype=float), style(name)
     e, s = _runs(name, errors, t), _runs(name, deviations, t)
-    claimed, actual = sigmas * np.sqrt(_mean(s**2)), sigmas * np.sqrt(_mean(e**2))
+    n = max(1, -(-len(t) // points))
+    claimed, actual = (sigmas * np.sqrt(_block_means(_mean(v**2), n)) for v in (s, e))
+    steps, t = t[::n], _block_means(t, n)
     band = ax.fill_between(
         t, -claimed, claimed, facecolor=look.color, alpha=0.28, linewidth=0, label=f"claimed ±{sigmas:g}σ", zorder=1
     )
     ax.plot(t, claimed, t, -claimed, color=look.color, linewidth=1.0, zorder=2.2)
-    runs = ax.plot(t, e.T, color="0.45", linewidth=0.35, alpha=0.6, zorder=1.5, rasterized=True)
+    shown = e[:lines, ::n]
+    faint: dict[str, Any] = {"color": "0.4", "linewidth": 0.4, "alpha": 0.7, "rasterized": True}
+    runs = ax.plot(steps, shown.T, zorder=1.5, **(faint if len(e) > 1 else {"color": "black", "linewidth": 0.6}))
     if runs:
-        runs[0].set_label(f"error of {_count(len(e), 'run')}")
-    spread = ax.plot(
-        t, actual, color="black", linewidth=1.0, linestyle=(0, (4, 1.5)), zorder=2.4, label=f"±{sigmas:g} RMSE"
+        of = "" if len(shown) == len(e) else f"{len(shown)} of "
+        runs[0].set_label(f"error of {of}{_count(len(e), 'run')}")
+    spread: list[Artist] = []
+    if len(e) > 1:
+        dashed: dict[str, Any] = {"color": "black", "linewidth": 1.0, "linestyle": (0, (4, 1.5)), "zorder": 2.4}
+        spread += ax.plot(t, actual, label=f"±{sigmas:g} RMSE", **dashed)
+        spread += ax.plot(t, -actual, **dashed)
+    ax.text(
+        0.02,
+        0.97,
+        look.label,
+        transform=ax.transAxes,
+        va="top",
+        fontweight="bold",
+        color=look.color,
+        path_effects=[withStroke(linewidth=2.5, foreground="white")],
+        zorder=3,
     )
-    spread += ax.plot(t, -actual, color="black", linewidth=1.0, linestyle=(0, (4, 1.5)), zorder=2.4)
-    ax.text(0.02, 0.96, look.label, transform=ax.transAxes, va="top", fontweight="bold", color=look.color, zorder=3)
-    ax.set(xlabel="time [s]", ylabel=label)
-    ax.margins(x=0)
+    ax.set(xlabel=_time_label(n), ylabel=label)
+    ax.margins(x=0, y=0.14)  # above, room for the name
     if legend:
         _legend(ax)
-    return {"errors": [*runs], "band": [band], "spread": [*spread]}
+    return {"errors": [*runs], "band": [band], "spread": spread}
 
 
 def plot_gauge(
@@ -975,6 +1006,7 @@ def plot_bars(
     *,
     label: str,
     band: tuple[float, float] | None = None,
+    reference: float | None = None,
 ) -> Artists:
     """One bar a filter with its error, the first on top.
 
@@ -988,23 +1020,33 @@ def plot_bars(
     label : str
         Of the horizontal axis, with its unit.
     band : (float, float), optional
-        Where the value of a consistent filter lies.
+        Where the value of a consistent filter lies; what exceeds it is written in bold.
+    reference : float, optional
+        What a value is expected to be, > 0, for values that compare by ratio, as NEES does with its degrees of freedom:
+        the axis is logarithmic and a bar is what the value differs by.
 
     Returns
     -------
     dict
         band, and one entry a filter: the bar, then its value as text.
     """
+    from matplotlib.patheffects import withStroke
+    from matplotlib.ticker import LogLocator
+
     artists: Artists = {}
     if band is not None:
         artists["band"] = [ax.axvspan(*band, facecolor="0.5", alpha=0.3, linewidth=0, zorder=0.5)]
-    ends = [0.0, *(band or ())]
+    if reference is not None:
+        ax.axvline(reference, color="0.25", linewidth=0.8, zorder=0.6)
+    start = 0.0 if reference is None else reference
+    ends = [start, *(band or ())]
     for row, (name, value) in enumerate(values.items()):
         error = float((errors or {}).get(name, 0.0))
         look = style(name)
         bar = ax.barh(
             row,
-            value,
+            value - start,
+            left=start,
             xerr=error if error > 0 else None,
             height=0.7,
             color=look.color,
@@ -1012,7 +1054,11 @@ def plot_bars(
             linewidth=0.4,
             error_kw={"elinewidth": 1.0, "capsize": 2.5, "ecolor": "0.15"},
         )
-        end = value + max(error, 0.0)
+        if bar.errorbar is not None:
+            for line in bar.errorbar.get_children():
+                # On a dark bar a dark line would not be seen.
+                line.set_path_effects([withStroke(linewidth=2.4, foreground="white")])
+        end = max(value + max(error, 0.0), start)
         text = (
             []
             if not np.isfinite(end)
@@ -1024,14 +1070,24 @@ def plot_bars(
                     textcoords="offset points",
                     va="center",
                     fontsize="small",
+                    fontweight="bold" if band is not None and value > band[1] else "normal",
                 )
             ]
         )
         ends.append(end)
+        if reference is not None and value > 0:
+            ends.append(max(value - max(error, 0.0), value / 3))
         artists[name] = [*bar.patches, *text]
     ax.set_yticks(range(len(values)), [style(name).label for name in values])
     ax.set_ylim(len(values) - 0.4, -0.6)
-    ax.set_xlim(0, 1.25 * np.nanmax(ends) or 1.0)
+    if reference is None:
+        ax.set_xlim(0, 1.25 * np.nanmax(ends) or 1.0)
+    else:
+        low, high = np.nanmin(ends), np.nanmax(ends)
+        _log_scale(ax, "x")
+        ax.set_xlim(low / 1.3, 1.1 * high * (high / low) ** 0.25)
+        if high / low < 4:
+            ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
     ax.tick_params(axis="y", length=0)
     ax.set_xlabel(label)
     return artists
@@ -1078,22 +1134,27 @@ def plot_cost(
     artists: Artists = {}
     for name, cost in seconds.items():
         look = style(name)
-        container = ax.errorbar(
-            1e6 * cost,
-            accuracy[name],
-            yerr=None if errors is None else errors.get(name),
-            color=look.color,
-            marker=look.marker,
-            markersize=7,
-            markeredgecolor="black",
-            markeredgewidth=0.5,
-            linestyle="none",
-            elinewidth=1.0,
-            capsize=2.5,
-            label=look.label,
-        )
-        artists[name] = [a for a in container.get_children() if a is not None]
-    ax.set_xscale("log")
+        artists[name] = [
+            *ax.plot(
+                1e6 * cost,
+                accuracy[name],
+                color=look.color,
+                marker=look.marker,
+                markersize=7,
+                markeredgecolor="black",
+                markeredgewidth=0.5,
+                linestyle="none",
+                label=look.label,
+                zorder=3,
+            )
+        ]
+        error = (errors or {}).get(name)
+        if error is not None:
+            container = ax.errorbar(
+                1e6 * cost, accuracy[name], yerr=error, fmt="none", ecolor=look.color, elinewidth=1.0, capsize=2.5
+            )
+            artists[name] += container.get_children()
+    _log_scale(ax, "x")
     ax.set(xlabel="time of a step [µs]", ylabel=label)
     ax.margins(0.12)
     ax.grid(True, which="major", color="0.9", linewidth=0.6)
@@ -1103,7 +1164,7 @@ def plot_cost(
     return artists
 
 
-def shared_legend(figure: Figure, axes: Sequence[Axes] | NDArray[Any]) -> Artist:
+def shared_legend(figure: Figure, axes: Sequence[Axes] | NDArray[Any]) -> Legend:
     """One legend for several axes, above them all; what occurs in more than one of them is named once.
 
     Parameters
@@ -1173,9 +1234,8 @@ def _legend(ax: Axes) -> None:
         _fitted(ax, handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 
-def _fitted(parent: Axes | Figure, handles: list[Any], labels: list[str], **place: Any) -> Artist:
+def _fitted(parent: Axes | Figure, handles: list[Any], labels: list[str], **place: Any) -> Legend:
     """A legend in as many columns as its parent's width holds."""
-    from matplotlib.legend import Legend
     from matplotlib.lines import Line2D
 
     def build(columns: int) -> Legend:
@@ -1208,13 +1268,15 @@ def _fitted(parent: Axes | Figure, handles: list[Any], labels: list[str], **plac
     return legend
 
 
-def _log_scale(ax: Axes) -> None:
-    """A logarithmic vertical axis with plain numbers (0.1, 2, 30) instead of powers."""
-    from matplotlib.ticker import FuncFormatter, LogFormatter
+def _log_scale(ax: Axes, which: Literal["x", "y"] = "y") -> None:
+    """A logarithmic axis with plain numbers (0.1, 2, 50) instead of powers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    ax.set_yscale("log")
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.6)))
+    ax.set(**{f"{which}scale": "log"})
+    axis = ax.yaxis if which == "y" else ax.xaxis
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _elapsed(times: Array, run: Array) -> Array:
@@ -1265,6 +1327,19 @@ def _mean(values: Array) -> Array:
     known = np.isfinite(values)
     n = known.sum(0)
     return np.where(n > 0, np.where(known, values, 0.0).sum(0) / np.maximum(n, 1), np.nan)
+
+
+def _block_means(values: Array, n: int) -> Array:
+    """Means of n consecutive values (K,) each, of those that are there; the last may be of fewer."""
+    if n <= 1:
+        return values
+    starts, known = np.arange(0, len(values), n), np.isfinite(values)
+    total, count = (np.add.reduceat(v, starts) for v in (np.where(known, values, 0.0), known.astype(int)))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _time_label(n: int) -> str:
+    return "time [s]" if n <= 1 else f"time [s], means of {n} steps"
 
 
 def _count(n: int, noun: str) -> str:

@@ -101,7 +101,7 @@ class GaugeCheck:
 
     filter: str
     error: str | None  #: why a number is missing
-    nullity: int | None  #: see :func:`slamkit.gauge.nullity`
+    nullity: int | None  #: see :func:`slamkit.gauge.nullity`, which the full UKF has not
     times: Array  #: (n,) [s]
     deviations: Array  #: (n,) gauge deviation after each step [rad]
     deviation_drop: float | None  #: largest fall of these, as a share of the largest of them
@@ -326,6 +326,7 @@ class Study:
             - ``gauge_nees``, ``gauge_nees_median`` (3 degrees of freedom) and ``relative_nees_per_dof`` of the final
               state (:func:`slamkit.gauge.nees_split`), with their 95 % bounds ``gauge_nees_low``, ``…_high`` and
               ``relative_nees_low``, ``…_high``;
+            - ``nis_per_dof``: mean over the runs of the mean NIS, which needs no truth, per degree of freedom;
             - ``nullity``, ``gauge_deviation_drop``, ``stochastic_gauge_m``, ``equivariance``: see :class:`GaugeCheck`;
             - ``seconds_per_step``: median over the runs;
             - ``runs``, ``finished`` (the runs that enter the numbers: those in which the filter did not fail) and
@@ -347,7 +348,8 @@ class Study:
         pose = nees[np.isfinite(nees[:, 0]), 0]
         robust = consistency.summary(pose, 3.0, 6.0) if len(pose) else None
         low, high = _bounds(3.0, len(pose))
-        gauge_low, gauge_high = _bounds(3.0, len(gauge_nees))
+        gauge_dof = float(np.mean([t.gauge_dof for t in split if t.gauge_dof > 0])) if len(gauge_nees) else 3.0
+        gauge_low, gauge_high = _bounds(gauge_dof, len(gauge_nees), 3.0 / gauge_dof)
         out |= {
             "pose_nees_median": None if robust is None else robust.median,
             "pose_nees_above_6": None if robust is None else robust.share_above,
@@ -364,12 +366,13 @@ class Study:
             **_mean("relative_nees_per_dof", [t.relative_nees / t.relative_dof for t in split]),
         }
         dof = float(np.mean([t.relative_dof for t in split])) if split else 1.0
-        low, high = _bounds(dof, len(split))
+        low, high = _bounds(dof, len(split), 1.0 / dof)
         check = self.gauge.get(name)
         times = [t.seconds_per_step for t in done]
         return out | {
-            "relative_nees_low": None if low is None else low / dof,
-            "relative_nees_high": None if high is None else high / dof,
+            "relative_nees_low": low,
+            "relative_nees_high": high,
+            **_mean("nis_per_dof", [t.nis_mean / t.nis_dof for t in done if t.nis_dof]),
             "nullity": None if check is None else check.nullity,
             "gauge_deviation_drop": None if check is None else check.deviation_drop,
             "stochastic_gauge_m": None if check is None else check.stochastic_gauge_m,
@@ -379,6 +382,78 @@ class Study:
             "finished": len(done),
             "diverged": sum(t.diverged for t in self.trials[name]),
         }
+
+    def findings(self) -> list[str]:
+        """What the numbers say, one sentence each and no more than they say.
+
+        Returns
+        -------
+        list of str
+            Which filters claim too little, in the gauge or in the relative map; what the inconsistency of the standard
+            EKF is; where errors cannot tell, which filters claim to have learnt their gauge. May be empty.
+
+        Notes
+        -----
+        A filter claims too little where its mean NEES of the final state (:func:`slamkit.gauge.nees_split`) lies above
+        a bound that consistent filters, all of the study taken together, pass in either part with a probability of 5 %
+        (Bonferroni). It claims to have learnt its gauge where the gauge deviation falls by more than a thousandth. A
+        recorded log is aligned with its truth, so that errors say nothing of the gauge there.
+        """
+        out = []
+        known = [n for n, v in self.summary().items() if v["relative_nees_per_dof"] is not None]
+        if known:
+            too_sure = []
+            for part, title in (("gauge", "in the gauge "), ("relative", "in the relative map ")):
+                excess = {n: nees for n in known for nees, limit in [self._part(n, part)] if nees > limit}
+                if excess:
+                    ranked = sorted(excess, key=excess.__getitem__, reverse=True)
+                    too_sure.append(title + ", ".join(f"{n} {excess[n]:.2f}" for n in ranked))
+            if too_sure:
+                what = "NEES per degree of freedom, 1 where a filter is consistent"
+                out.append(f"Claim too little ({what}): {'; '.join(too_sure)}.")
+            elif self.facts["simulated"]:
+                out.append(f"No filter is seen to claim too little in {_count(self.runs, 'run')}.")
+        if "ekf" in known and self._learnt_gauge_is_all("ekf") is not None:
+            gauge, relative = self._part("ekf", "gauge")[0], self._part("ekf", "relative")[0]
+            fall = self.gauge["ekf"].deviation_drop
+            assert fall is not None
+            where = f"{gauge:.2f} in the gauge, {relative:.2f} in the relative map"
+            if self._learnt_gauge_is_all("ekf"):
+                out.append(
+                    f"All of the ekf's inconsistency ({where}) is a gauge that it claims to have learnt: "
+                    f"nothing measures it, yet its claimed deviation falls by {fall:.0%}."
+                )
+            else:
+                out.append(
+                    f"The ekf claims to have learnt its gauge, and is too sure of its relative map as well ({where})."
+                )
+        if not self.facts["simulated"]:
+            learnt = [f"{n} (its claimed deviation falls by {c.deviation_drop:.0%})" for n, c in self._learners.items()]
+            if learnt:
+                out.append(f"Claim to have learnt the gauge, which nothing measures: {', '.join(learnt)}.")
+        return out
+
+    def _part(self, name: str, part: str) -> tuple[float, float]:
+        """NEES per degree of freedom of one part of the final state, and the bound of :meth:`findings`; -inf: none."""
+        split = [t for t in self.finished(name) if np.isfinite(t.relative_nees) and t.relative_dof > 0]
+        if part == "gauge":
+            split = [t for t in split if t.gauge_dof > 0] if self.facts["simulated"] else []
+        if not split:
+            return -np.inf, np.inf
+        dof = np.array([getattr(t, f"{part}_dof") for t in split], dtype=float)
+        value = float(np.mean(np.array([getattr(t, f"{part}_nees") for t in split]) / dof))
+        _, limit = _bounds(dof.mean(), len(split), 1.0 / dof.mean(), 1.0 - 0.05 / len(self.trials))
+        assert limit is not None
+        return value, limit
+
+    @property
+    def _learners(self) -> dict[str, GaugeCheck]:
+        return {n: c for n, c in self.gauge.items() if c.deviation_drop is not None and c.deviation_drop > 1e-3}
+
+    def _learnt_gauge_is_all(self, name: str) -> bool | None:
+        """Whether a learnt gauge is all that a filter is wrong about; None where none is seen to be learnt."""
+        (gauge, limit), (relative, relative_limit) = self._part(name, "gauge"), self._part(name, "relative")
+        return relative <= relative_limit if gauge > limit and name in self._learners else None
 
     def table(self) -> list[dict[str, Any]]:
         """One row a trial, as a tidy table has it.
@@ -443,6 +518,7 @@ class Study:
             ]
         else:
             lines += ["A recorded log: errors are taken after alignment with the truth, where there is one.", ""]
+        lines += [" ".join(self.findings()), ""] if self.findings() else []
         columns = {
             "pose NEES (3)": ("pose_nees", 2),
             "heading NEES (1)": ("heading_nees", 2),
@@ -450,6 +526,7 @@ class Study:
             "heading RMSE [°]": ("heading_rmse_deg", 2),
             "landmark NEES (2)": ("landmark_nees", 2),
             "landmark RMSE [m]": ("landmark_rmse_m", 3),
+            "NIS per dof": ("nis_per_dof", 2),
         }
         head = ["filter", *columns, "median pose NEES", "share above 6", "µs a step", "diverged"]
         rows = [
@@ -493,7 +570,10 @@ class Study:
         lines += ["## The gauge", "", *_markdown(head, rows), ""]
         if first["relative_nees_low"] is not None:
             low, high = first["relative_nees_low"], first["relative_nees_high"]
-            lines += [f"A consistent filter's relative NEES per dof lies in [{low:.2f}, {high:.2f}] (95 %).", ""]
+            line = f"A consistent filter's relative NEES per dof lies in [{low:.2f}, {high:.2f}] (95 %)"
+            if first["gauge_nees_low"] is not None:
+                line += f", its gauge NEES in [{first['gauge_nees_low']:.2f}, {first['gauge_nees_high']:.2f}]"
+            lines += [f"{line}.", ""]
         lines += [
             "Three directions of the state, the gauge, are unobservable: nullity is 3 and the gauge deviation never "
             "falls in a filter that does not claim to have learnt them.",
@@ -578,14 +658,7 @@ class Study:
             with _figure(7.0, 3.6) as figure:
                 self._plot_nees(figure.subplots())
             figures["nees"] = figure
-            with _figure(9.0, 2.4 * -(-len(self._judged) // 2)) as figure:
-                axes = figure.subplots(-(-len(self._judged) // 2), 2, sharex=True, sharey=True, squeeze=False)
-                for ax, name in zip(axes.flat, self._judged, strict=False):
-                    self._plot_claim(ax, name)
-                    ax.label_outer()
-                for ax in axes.flat[len(self._judged) :]:
-                    ax.remove()
-            figures["claims"] = figure
+            figures["claims"] = self._claims()
             with _figure(4.6, 4.9) as figure:
                 covered = {
                     name: consistency.coverage(values, dof)
@@ -615,15 +688,15 @@ class Study:
         return figures
 
     def overview(self) -> Figure:
-        """The study at a glance: what lies where in the map is right, how the whole lies in the world is not.
+        """The study at a glance: who claims too little of the relative map, who of how the whole lies in the world.
 
         Returns
         -------
         Figure
             Above, for every filter, the NEES per degree of freedom of its final state in two parts that add up: the
-            relative map, and the gauge; below, the gauge deviation, which may not fall, and the heading error of the
-            standard EKF (without it, of the filter with the largest gauge NEES) beside what it claims. Where no NEES
-            could be split the pose takes the gauge's place.
+            relative map, and the gauge; below, the gauge deviation in the gauge check, which may not fall, and the
+            heading error of the standard EKF (without it, of the filter with the largest gauge NEES) beside what it
+            claims. Where no NEES could be split the pose takes the gauge's place.
 
         Raises
         ------
@@ -632,27 +705,39 @@ class Study:
         """
         if not self._judged:
             raise InputError(f"no filter came to an end with a truth to compare with in {self.runs} runs")
+        from slamkit import plots
+
         s = self.summary()
         split = any(s[n]["gauge_nees"] is not None for n in self._judged)
         key = "gauge_nees" if split else "pose_nees"
         subject = "ekf" if "ekf" in self._judged else max(self._judged, key=lambda n: s[n][key] or 0.0)
-        with _figure(10.0, 7.2) as figure:
-            panels = figure.subplot_mosaic([["relative", "gauge"], ["deviation", "claim"]])
-            titles = {
-                "relative": "What lies where, as the robot sees it: the relative map",
-                "gauge": "Where robot and map lie as one: the gauge" if split else "Where the robot lies: the pose",
-            }
-            self._plot_bars(panels["relative"], "relative_nees_per_dof", "NEES per degree of freedom")
-            self._plot_bars(panels["gauge"], key, "NEES per degree of freedom", 1.0 / 3.0)
-            widest = max(panels[name].get_xlim()[1] for name in titles)
-            for name, title in titles.items():
-                panels[name].set_title(title, fontsize=9, loc="left")
-                panels[name].set_xlim(0, widest)
+        with _figure(10.0, 7.8) as figure:
+            halves: Any = figure.subfigures(2, 1, height_ratios=[1.0, 1.15])
+            above, below = halves
+            panels = above.subplots(1, 2, sharex=True, sharey=True)
+            titles = (
+                "What lies where, as the robot sees it: the relative map",
+                f"Where {'robot and map lie as one: the gauge' if split else 'the robot lies: the pose'}"
+                f"{'' if self.facts['simulated'] else ' (after alignment)'}",
+            )
+            edges = []
+            shown = (("relative_nees_per_dof", 1.0), (key, 1.0 / 3.0))
+            for ax, title, (of, scale) in zip(panels, titles, shown, strict=True):
+                self._plot_bars(ax, of, "NEES per degree of freedom (consistent: 1)", scale)
+                ax.set_title(title, fontsize=9, loc="left")
+                edges += ax.get_xlim()
+            panels[0].set_xlim(min(edges), max(edges))
+            left, right = below.subfigures(1, 2)
             if any(len(c.deviations) for c in self.gauge.values()):
-                self._plot_gauge(panels["deviation"])
+                title = "What is claimed of the heading of the gauge: it may never fall"
+                self._plot_gauge(left.subplots())
             else:
-                self._plot_nees(panels["deviation"])
-            self._plot_claim(panels["claim"], subject)
+                title = "NEES of the pose over time"
+                self._plot_nees(left.subplots())
+            left.suptitle(title, fontsize=9, x=0.01, ha="left")
+            self._plot_claim(right.subplots(), subject)
+            title = f"Heading of the {plots.style(subject).label}: its error and what it claims"
+            right.suptitle(title, fontsize=9, x=0.01, ha="left")
             figure.suptitle(self._headline(subject, s), fontsize=11)
         return figure
 
@@ -664,13 +749,9 @@ class Study:
         size = f"{self.world}, {_count(v['finished'], 'run')}"
         if v["gauge_nees"] is None:
             return size
-        relative = v["relative_nees_per_dof"]
-        usual = float(np.median([u["relative_nees_per_dof"] for u in s.values() if u["relative_nees_per_dof"]]))
-        learnt = v["gauge_deviation_drop"] is not None and v["gauge_deviation_drop"] > 1e-3
-        numbers = (
-            f"NEES per degree of freedom {relative:.2f} in the relative map, {v['gauge_nees'] / 3:.2f} in the gauge"
-        )
-        if v["gauge_nees"] > v["gauge_nees_high"] and relative < 1.1 * usual and learnt:
+        relative, gauge = v["relative_nees_per_dof"], v["gauge_nees"] / 3
+        numbers = f"NEES per degree of freedom {relative:.2f} in the relative map, {gauge:.2f} in the gauge"
+        if self._learnt_gauge_is_all(subject):
             return (
                 f"All that is inconsistent in the {label} is a gauge that it claims to have learnt\n{numbers} ({size})"
             )
@@ -696,12 +777,39 @@ class Study:
             values[name] = np.where(dof > 0, 3 * nees / np.maximum(dof, 1), np.nan)
         plots.plot_nees(ax, self._elapsed, values, 3, label="pose NEES (3 degrees of freedom)")
 
-    def _plot_claim(self, ax: Axes, name: str) -> None:
+    def _plot_claim(self, ax: Axes, name: str, *, legend: bool = True) -> None:
         from slamkit import plots
 
         done = self.finished(name)
         errors, sigmas = (np.degrees([getattr(t, kind)[:, 2] for t in done]) for kind in ("errors", "sigmas"))
-        plots.plot_claim(ax, name, self._elapsed, errors, sigmas)
+        plots.plot_claim(ax, name, self._elapsed, errors, sigmas, legend=legend)
+
+    def _claims(self) -> Figure:
+        from matplotlib.patches import Patch
+
+        from slamkit import plots
+
+        n = len(self._judged)
+        # As few empty places as can be, then as few rows.
+        columns = max(range(min(n, 2), min(n, 4) + 1), key=lambda c: (-(-n % c), c))
+        rows = -(-n // columns)
+        with _figure(min(3.6 * columns, 11.0), 0.6 + 2.1 * rows) as figure:
+            axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+            drawn = axes.flat[:n]
+            for ax, name in zip(drawn, self._judged, strict=True):
+                self._plot_claim(ax, name, legend=False)
+            for ax in axes.flat[n:]:
+                ax.remove()
+            for k, ax in enumerate(drawn):
+                ax.set_ylabel(ax.get_ylabel() if k % columns == 0 else "")
+                ax.tick_params(labelbottom=k + columns >= n)
+            figure.supxlabel(drawn[0].get_xlabel(), fontsize=9)
+            for ax in drawn:
+                ax.set_xlabel("")
+            for handle in plots.shared_legend(figure, drawn).legend_handles:
+                if isinstance(handle, Patch):
+                    handle.set_facecolor("0.55")  # of every filter in its own colour
+        return figure
 
     def _plot_gauge(self, ax: Axes) -> None:
         from slamkit import plots
@@ -720,11 +828,14 @@ class Study:
         if f"{edge}_low" in next(iter(s.values())):
             limits = [(v[f"{edge}_low"], v[f"{edge}_high"]) for v in s.values() if v[f"{edge}_low"] is not None]
             band = (scale * limits[0][0], scale * limits[0][1]) if limits else None
+        expected = {"pose_nees": 3.0, "gauge_nees": 3.0, "landmark_nees": 2.0, "relative_nees_per_dof": 1.0}.get(key)
         values = {n: float("nan") if v[key] is None else scale * v[key] for n, v in s.items()}
         if np.all(np.isnan(list(values.values()))):
             ax.text(0.5, 0.5, f"no {label}", transform=ax.transAxes, ha="center", va="center", color="0.4")
             return
-        plots.plot_bars(ax, values, {n: scale * (v[f"{key}_se"] or 0.0) for n, v in s.items()}, label=label, band=band)
+        errors = {n: scale * (v[f"{key}_se"] or 0.0) for n, v in s.items()}
+        reference = None if expected is None else scale * expected
+        plots.plot_bars(ax, values, errors, label=label, band=band, reference=reference)
 
     def _bars(self) -> Figure:
         panels = {
@@ -836,7 +947,7 @@ def _setup(
             path = Path(world)
         except TypeError:
             raise InputError(f"world is a {type(world).__name__}, expected a World, a Log or a folder") from None
-        name, world = path.name, Log.read_csv(path)
+        name, world = path.resolve().name, Log.read_csv(path)
     simulated = isinstance(world, World)
     count = (50 if simulated else 1) if runs is None else runs
     for what, value, least in (("runs", count, 1), ("seed", seed, 0), ("gauge_steps", gauge_steps, 0)):
@@ -1030,20 +1141,23 @@ def _failed(setup: _Setup, name: str, k: int, why: str) -> Trial:
 def _gauge_check(setup: _Setup, name: str) -> GaugeCheck:
     from slamkit import gauge
 
-    errors: list[str] = []
+    errors: dict[str, list[str]] = {}  # why → what is missing for that
 
     def attempt(what: str, number: Callable[[], Any]) -> Any:
         try:
             return number()
         # As in a trial: what a filter cannot do is recorded.
         except Exception as error:
-            errors.append(f"{what}: {_text(error)}")
+            errors.setdefault(_text(error), []).append(what)
             return None
+
+    def said() -> str | None:
+        return "; ".join(f"{', '.join(what)}: {why}" for why, what in errors.items()) or None
 
     log = attempt("the simulation", lambda: _beginning(setup.log(0), setup.gauge_steps))
     times, deviations = np.empty(0), np.empty(0)
     if log is None:
-        return GaugeCheck(name, errors[0], None, times, deviations, None, None, None)
+        return GaugeCheck(name, said(), None, times, deviations, None, None, None)
     kind, models = setup.filters[name], (setup.motion, setup.sensor)
     options = dict(setup.options)
     if isinstance(kind, type) and issubclass(kind, IdealEKFSLAM):
@@ -1066,7 +1180,7 @@ def _gauge_check(setup: _Setup, name: str) -> GaugeCheck:
         "equivariance",
         lambda: gauge.equivariance(kind, *models, log, GAUGE_MOTION, setup.pose, GAUGE_COVARIANCE, **options),
     )
-    return GaugeCheck(name, "; ".join(errors) or None, nullity, times, deviations, drop, stochastic, turned)
+    return GaugeCheck(name, said(), nullity, times, deviations, drop, stochastic, turned)
 
 
 def _beginning(log: Log, steps: int) -> Log:
@@ -1201,9 +1315,12 @@ class _Store:
             differing = [n for n in {**facts, **found} if facts.get(n) != found.get(n)]
             if differing:
                 n = differing[0]
+                pair = [found.get(n), facts.get(n)]
+                if n == "filters" and list(pair[0] or ()) != list(pair[1] or ()):
+                    pair = [", ".join(names or ()) for names in pair]  # they say more than the digests
                 raise InputError(
-                    f"{folder} holds a study with other settings: {', '.join(differing)} ({n} is {found.get(n)!r} "
-                    f"there, {facts.get(n)!r} here); choose another folder, or the same settings"
+                    f"{folder} holds a study with other settings: {', '.join(differing)} ({n} is {pair[0]!r} there, "
+                    f"{pair[1]!r} here); choose another folder, or the same settings"
                 )
             runs = max(runs, there)
         write_archive(path, "study", {**facts, "runs": runs}, {"times": times})
@@ -1320,11 +1437,12 @@ def _root_mean(key: str, squares: Iterable[float], weights: Iterable[int] | None
     return {key: root, f"{key}_se": float(spread / (2 * root)) if root > 0 else 0.0}
 
 
-def _bounds(dof: float, runs: int) -> tuple[float | None, float | None]:
+def _bounds(dof: float, runs: int, scale: float = 1.0, probability: float = 0.95) -> tuple[float | None, float | None]:
+    """Bounds of the mean over the runs of a χ² variable times a scale."""
     if not runs:
         return None, None
-    bounds = consistency.chi2_bounds(dof, runs)
-    return float(bounds.lower), float(bounds.upper)
+    bounds = consistency.chi2_bounds(dof, runs, probability)
+    return scale * float(bounds.lower), scale * float(bounds.upper)
 
 
 def _number(value: float | None, form: str, scale: float = 1) -> str:

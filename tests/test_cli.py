@@ -19,11 +19,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from slamkit import EKFSLAM, History, InputError, Log, Truth, cli, plots, summary
+from slamkit import EKFSLAM, History, InputError, Log, Truth, cli, plots, study, summary
 from slamkit.datasets import mrclam
 from slamkit.filters import FILTERS
 from slamkit.models import EulerUnicycle, Odometry, RangeBearing, RelativePosition, Unicycle, model_to_dict
-from slamkit.simulate import WORLDS, simulate
+from slamkit.simulate import WORLDS, simulate, standing_world
 
 KEYS = {
     "filter": str,
@@ -762,6 +762,15 @@ def test_fetch_of_a_set_that_is_not_there(server: str, tmp_path: Path) -> None:
 # ---- demo ----
 
 
+@pytest.fixture
+def short_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two runs of 20 steps in the end of the demo: the full unscented filter takes milliseconds a step."""
+    short = replace(standing_world(), controls=np.zeros((20, 2)))
+    monkeypatch.setattr(cli, "DEMO_RUNS", 2)
+    monkeypatch.setitem(WORLDS, "standing", lambda: short)  # type: ignore[misc]
+
+
+@pytest.mark.usefixtures("short_comparison")
 def test_demo(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     text = succeeds("demo", "--out", out)
@@ -777,6 +786,32 @@ def test_demo(tmp_path: Path) -> None:
     succeeds("run", "csv", out / "log", "--json", tmp_path / "again.json")
     again = strict_json(tmp_path / "again.json")
     assert again | {"seconds": 0} == got | {"seconds": 0}
+    compared = strict_json(out / "comparison" / "summary.json")
+    assert tuple(compared) == tuple(FILTERS)
+    rows = {line.split()[1]: line for line in text.splitlines() if line.startswith("│")}
+    for name, numbers in compared.items():
+        assert set(numbers) >= COMPARED and numbers["runs"] == numbers["finished"] == 2
+        for key in ("position_rmse_m", "pose_nees", "gauge_nees", "relative_nees_per_dof"):
+            assert f" {numbers[key]:.3f} " in rows[name], (name, key)
+    report = (out / "comparison" / "report.md").read_text()
+    said = next(line for line in text.splitlines() if "claim too little" in line.lower())
+    assert said in report
+    figures = {p.stem for p in (out / "comparison").glob("*.png") if is_png(p)}
+    assert figures == {"overview", "nees", "claims", "coverage", "bars", "cost", "gauge"}
+
+
+@pytest.mark.usefixtures("short_comparison")
+def test_the_demos_comparison_is_the_command_that_it_names(tmp_path: Path) -> None:
+    text = succeeds("demo", "--out", tmp_path / "demo")
+    command = text[text.index("slamkit compare") :].split(")")[0].split()
+    assert "all" in command
+    succeeds(*command[1:], "--json", tmp_path / "again.json")
+    compared = strict_json(tmp_path / "demo" / "comparison" / "summary.json")
+    for name, numbers in strict_json(tmp_path / "again.json").items():
+        timed = {"seconds_per_step", "seconds_per_step_se"}
+        assert {k: v for k, v in numbers.items() if k not in timed} == {
+            k: v for k, v in compared[name].items() if k not in timed
+        }
 
 
 COMPARED = {
@@ -813,6 +848,36 @@ def test_compare_writes_numbers_report_and_figures(tmp_path: Path) -> None:
     for name, row in json.loads(again.read_text()).items():
         timed = {"seconds_per_step", "seconds_per_step_se"}
         assert {k: v for k, v in row.items() if k not in timed} == {k: got[name][k] for k in row if k not in timed}
+
+
+def test_compare_judges_a_log_without_a_truth_by_what_needs_none(tmp_path: Path) -> None:
+    log, numbers = tmp_path / "site", tmp_path / "numbers.json"
+    succeeds("simulate", "lesson", "--seed", 1, "--out", log)
+    (log / "truth.csv").unlink()
+    (log / "landmarks.csv").unlink()
+    text = succeeds("compare", "--world", log, "--filters", "ekf,ideal", "--jobs", 1, "--json", numbers)
+    got = strict_json(numbers)
+    assert got["ekf"]["position_rmse_m"] is None and f" {got['ekf']['nis_per_dof']:.3f} " in text
+    assert "site: a recorded log" in text and "nan" not in text
+    assert "Claim to have learnt the gauge, which nothing measures: ekf" in text
+    assert "Failed or diverged: ideal 1 of 1 (InputError: the ideal filter needs the truth" in text
+
+
+def test_an_interrupted_compare_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(study, "compare", interrupt)
+    done = slamkit("compare", "--world", "lesson", "--out", tmp_path / "out")
+    assert done.exit_code == 130
+    assert f"{tmp_path / 'out' / 'runs'}, and the same command goes on" in done.stderr
+
+
+def test_compare_refuses_before_the_first_run_what_it_could_not_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study, "compare", lambda *_, **__: pytest.fail("it has run"))
+    assert "is a folder" in fails("compare", "--world", "lesson", "--json", tmp_path)
 
 
 def test_compare_takes_a_folder_of_csv_files(tmp_path: Path) -> None:

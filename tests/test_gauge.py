@@ -572,9 +572,23 @@ def test_maps_too_small_and_shapes_that_do_not_fit() -> None:
         gauge.gauge_drop([[1.0]])
 
 
-@pytest.mark.parametrize("name", ["ukf-full", "robocentric"])
-def test_a_nullity_that_cannot_be_recorded_is_refused(name: str) -> None:
+def test_a_nullity_that_cannot_be_recorded_is_refused() -> None:
     world = gauge.observability_world()
-    f = FILTERS[name](world.motion, world.sensor, world.pose, world.pose_covariance)
-    with pytest.raises(InputError, match=f"nullity of {name} cannot be recorded"):
+    f = FILTERS["ukf-full"](world.motion, world.sensor, world.pose, world.pose_covariance)
+    with pytest.raises(InputError, match="nullity of ukf-full cannot be recorded"):
         gauge.nullity(f, simulate(world, np.random.default_rng(0)))
+
+
+@every_order
+@every_sensor
+def test_the_robocentric_matrix_holds_what_the_filter_learns(order: str, sensor: str) -> None:
+    """Without motion noise the landmarks seen by the robot have the matrix's information, whatever their axes."""
+    exact = replace(world(sensor), motion=Unicycle(0.0, 0.0))
+    log = _with_a_late_landmark(simulate(exact, np.random.default_rng(1)))
+    f = FILTERS["robocentric"](exact.motion, exact.sensor, exact.pose, P0, order=order)
+    found = gauge.nullity(f, log)
+    f.run(log)
+    assert found.nullity == 3
+    assert np.all(found.singular_values[-3:] < 1e-12)
+    _, information = np.linalg.slogdet(np.linalg.inv(gauge._body_covariance(f)[3:, 3:]))
+    np.testing.assert_allclose(2 * np.log(found.singular_values[:-3]).sum(), information, atol=1e-9)

@@ -629,6 +629,38 @@ def test_claim_draws_every_run_the_claim_and_the_spread() -> None:
     assert vertices[:, 1].max() == pytest.approx(2 * np.sqrt(np.mean(deviations**2, 0)).max())
 
 
+def test_claim_draws_some_of_many_runs_but_counts_all() -> None:
+    rng = np.random.default_rng(3)
+    t, errors, deviations = np.arange(1000.0), rng.normal(size=(50, 1000)), rng.uniform(0.5, 2, (50, 1000))
+    drawn = plots.plot_claim(axes(), "ekf", t, errors, deviations, sigmas=1.0, lines=5, points=100)
+    assert drawn["errors"][0].get_label() == "error of 5 of 50 runs"
+    np.testing.assert_array_equal([line.get_ydata() for line in drawn["errors"]], errors[:5, ::10])
+    spread = drawn["spread"][0]
+    blocks = (50, 100, 10)
+    np.testing.assert_allclose(spread.get_ydata(), np.sqrt(np.mean(errors.reshape(blocks) ** 2, (0, 2))))
+    np.testing.assert_allclose(spread.get_xdata(), t.reshape(100, 10).mean(1))
+    claimed = np.sqrt(np.mean(deviations.reshape(blocks) ** 2, (0, 2)))
+    assert drawn["band"][0].get_paths()[0].vertices[:, 1].max() == pytest.approx(claimed.max())
+
+
+def test_one_run_has_no_spread() -> None:
+    t = np.arange(5.0)
+    drawn = plots.plot_claim(axes(), "ekf", t, t, t + 1)
+    assert len(drawn["errors"]) == 1 and drawn["spread"] == []
+
+
+def test_long_runs_are_drawn_by_means_over_steps() -> None:
+    rng = np.random.default_rng(5)
+    t, values = np.arange(95.0), rng.chisquare(3, (20, 95))
+    values[:, 40:50] = np.nan
+    ax = axes()
+    drawn = plots.plot_nees(ax, t, {"ekf": values}, 3, points=10)
+    expected = [np.nan if k == 4 else values[:, 10 * k : 10 * k + 10].mean() for k in range(10)]
+    np.testing.assert_allclose(drawn["ekf"][0].get_ydata(), expected)
+    np.testing.assert_allclose(drawn["ekf"][0].get_xdata(), [*np.arange(4.5, 90, 10), 92.0])
+    assert ax.get_xlabel() == "time [s], means of 10 steps"
+
+
 def test_gauge_axis_starts_at_zero_so_that_a_fall_is_seen_in_proportion() -> None:
     t, ax = np.arange(9.0), axes()
     drawn = plots.plot_gauge(ax, t, {"ekf": 2.3 - 0.1 * t, "oc": np.full((4, 9), 2.3)})
@@ -655,6 +687,20 @@ def test_bars_stand_in_the_given_order_with_their_values() -> None:
     assert [text.get_text() for text in ax.get_yticklabels()] == [plots.style(name).label for name in values]
     assert ax.get_xlim()[1] > 11.85 + 2.46
     assert len(drawn["fej"]) == 1
+
+
+def test_bars_of_a_ratio_show_what_a_value_differs_by() -> None:
+    values = {"ekf": 8.0, "fej": 0.5, "oc": 1.0, "ukf": float("nan"), "ideal": 0.0}
+    ax = axes()
+    drawn = plots.plot_bars(ax, values, {"ekf": 7.9}, label="NEES a dof", band=(0.8, 1.2), reference=1.0)
+    draw(ax.figure)
+    assert ax.get_xscale() == "log"
+    for name in ("ekf", "fej", "oc"):
+        edges = np.sort([drawn[name][0].get_x(), drawn[name][0].get_x() + drawn[name][0].get_width()])
+        np.testing.assert_allclose(edges, np.sort([1.0, values[name]]))
+    assert drawn["ekf"][1].get_text() == "8.00" and drawn["ekf"][1].get_fontweight() == "bold"
+    assert drawn["fej"][1].get_fontweight() == drawn["oc"][1].get_fontweight() == "normal"
+    assert ax.get_xlim()[0] < 0.5 and ax.get_xlim()[1] > 15.9
 
 
 def test_cost_is_in_microseconds_and_complete() -> None:

@@ -258,6 +258,16 @@ def test_ten_loops_leave_it_more_consistent_than_the_ekf() -> None:
 
 @every_motion
 @every_sensor
+def test_the_change_of_frame_is_the_one_that_carries_the_covariance(motion: str, sensor: str) -> None:
+    f = between_frames(motion, sensor)
+    before, pose, A = f._belief.covariance, f._belief.mean[:3].copy(), np.eye(f._belief.dim)
+    compose(f._belief.state)
+    f._change_frame(A, pose)
+    np.testing.assert_allclose(A @ before @ A.T, f._belief.covariance, atol=1e-14)
+
+
+@every_motion
+@every_sensor
 def test_composition_does_not_change_what_is_reported(motion: str, sensor: str) -> None:
     f = between_frames(motion, sensor)
     state, x, P = f._belief.state, f.x, f.P

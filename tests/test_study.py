@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from slamkit import EKFSLAM, History, InputError, Log, LogFileError, Truth, World, consistency, se2, simulate
 from slamkit.filters import FILTERS
 from slamkit.models import RelativePosition, Unicycle
+from slamkit.simulate import standing_world
 from slamkit.study import Study, _beginning, _digest, _each_step, compare, run_trial
 
 NAMES = ("ekf", "invariant", "ideal")
@@ -349,6 +350,68 @@ def test_figures(study: Study) -> None:
     assert f"{study.summary()['ekf']['relative_nees_per_dof']:.2f} in the relative map" in title
 
 
+def told(study: Study, gauge: Any, relative: Any, drop: float, simulated: bool = True) -> list[str]:
+    """What a study says that has these NEES per degree of freedom: filter → one value a run."""
+    trials = {
+        name: tuple(
+            replace(t, gauge_nees=t.gauge_dof * float(g), relative_nees=t.relative_dof * float(r))
+            for t, g, r in zip(study.trials[name], gauge[name], relative[name], strict=True)
+        )
+        for name in study.filters
+    }
+    checks = {name: replace(c, deviation_drop=drop if name == "ekf" else 0.0) for name, c in study.gauge.items()}
+    return replace(study, trials=trials, gauge=checks, facts={**study.facts, "simulated": simulated}).findings()
+
+
+def test_findings_say_no_more_than_the_numbers(study: Study) -> None:
+    right = {name: [1.0] * 4 for name in NAMES}
+    wrong = right | {"ekf": [2.0, 20.0, 9.0, 9.0]}
+    assert told(study, right, right, 0.6) == ["No filter is seen to claim too little in 4 runs."]
+    too_little, why = told(study, wrong, right, 0.6)
+    assert too_little.endswith("in the gauge ekf 10.00.") and "relative" not in too_little
+    assert why.startswith("All of the ekf's inconsistency (10.00 in the gauge, 1.00 in the relative map)")
+    assert "falls by 60%" in why
+    assert told(study, wrong, right, 1e-4) == [too_little]
+    both, why = told(study, wrong, right | {"ekf": [3.0] * 4, "invariant": [5.0] * 4}, 0.6)
+    assert both.endswith("in the gauge ekf 10.00; in the relative map invariant 5.00, ekf 3.00.")
+    assert "too sure of its relative map as well" in why
+    (aligned,) = told(study, wrong, right, 0.6, simulated=False)
+    assert (
+        aligned == "Claim to have learnt the gauge, which nothing measures: ekf (its claimed deviation falls by 60%)."
+    )
+
+
+def test_consistent_filters_are_seldom_said_to_claim_too_little(study: Study) -> None:
+    rng = np.random.default_rng(1)
+    dof = study.trials["ekf"][0].relative_dof
+    said = 0
+    for _ in range(400):
+        gauge, relative = ({name: rng.chisquare(d, 4) / d for name in NAMES} for d in (3, dof))
+        said += "too little (" in told(study, gauge, relative, 0.0)[0]
+    assert 0.01 < said / 400 < 0.09  # 5 %, give or take three standard deviations
+
+
+def test_in_the_standing_world_the_standard_filter_learns_its_gauge_and_errs_in_nothing_else() -> None:
+    study = compare(["ekf", "invariant"], standing_world(), 10, 1, jobs=1, gauge_steps=100)
+    too_little, why = study.findings()
+    assert "ekf" in too_little and "invariant" not in too_little and "relative" not in too_little
+    assert why.startswith("All of the ekf's inconsistency")
+    assert "All that is inconsistent in the EKF is a gauge" in study.overview().get_suptitle()
+    assert " ".join(study.findings()) in study.report()
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.1])
+def test_gauge_bounds_are_of_the_rank_that_the_gauge_has(heading: float) -> None:
+    start = np.diag([0.01, 0.01, heading**2])
+    still = replace(world(6), motion=Unicycle(0.0, 0.0), pose_covariance=start)
+    s = compare(["invariant"], still, 5, 2, jobs=1, gauge_steps=0)
+    dof = s.trials["invariant"][0].gauge_dof
+    assert dof == (3 if heading else 2)
+    bounds = consistency.chi2_bounds(dof, 5)
+    np.testing.assert_allclose(s.summary()["invariant"]["gauge_nees_low"], 3 * bounds.lower / dof)
+    np.testing.assert_allclose(s.summary()["invariant"]["gauge_nees_high"], 3 * bounds.upper / dof)
+
+
 def recorded(tmp_path: Path | None = None, truth: Callable[[Truth], Truth | None] = lambda t: t) -> Any:
     log = simulate(world(), np.random.default_rng(5))
     assert log.truth is not None
@@ -368,10 +431,13 @@ def test_recorded_log_without_truth_has_no_errors(tmp_path: Path) -> None:
     assert s["ekf"]["seconds_per_step"] > 0 and s["ekf"]["nullity"] == 2 and s["ekf"]["diverged"] == 0
     assert "truth" in (study.trials["ideal"][0].error or "") and s["ideal"]["diverged"] == 1
     assert set(study.figures()) == {"gauge"}
+    assert study.gauge["ideal"].error is not None and study.gauge["ideal"].error.count("needs the truth") == 1
+    assert len(study.findings()) == 1 and "ekf (its claimed deviation falls" in study.findings()[0]
     assert "| ekf | –" in study.report()
     history, _ = study.rerun(0, "ekf")
     corrected = history.nis[np.isfinite(history.nis)]
     assert study.trials["ekf"][0].nis_mean == corrected.mean()
+    assert s["ekf"]["nis_per_dof"] == corrected.mean() / 2
     with pytest.raises(InputError, match="truth"):
         study.overview()
 

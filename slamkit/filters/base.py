@@ -405,9 +405,15 @@ class LandmarkFilter:
         """Points (D,) at which the Jacobians take their lever arms; the entry of the heading means nothing."""
         return self._belief.points(self.feet)
 
-    def _linearises_in_world(self) -> bool:
-        """Whether a step leaves the F and the sparse H that it used, in the frame of the world."""
-        return self.base == 3
+    def _leaves_jacobians(self) -> bool:
+        """Whether a step leaves the F and the sparse H that it used, in the coordinates of the belief."""
+        return True
+
+    def _change_frame(self, rows: Array, pose: Array) -> None:
+        """Take rows (dim, n), one an error of the belief, through the change of frame that ends a corrected step.
+
+        `pose` (3,) is the belief's pose after the step's last correction; the step itself is over.
+        """
 
     def _mean(self) -> Array:
         """Mean (D,) in standard coordinates; a copy."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slamkit import se2
 from slamkit.compiled import ACTIVE, ROWS, compiled
 from slamkit.filters.base import PolicyFunctions
 from slamkit.filters.ekf import EKFSLAM
@@ -251,6 +252,16 @@ class RobocentricEKFSLAM(EKFSLAM):
 
     def _feet(self) -> Array:
         return self._mean()
+
+    def _change_frame(self, rows: Array, pose: Array) -> None:
+        """A of `compose`, whose C(r)ᵀJ(l - p_r) is J l' with the l' that it has left."""
+        C, after = se2.rotation(pose[2]), self._belief.mean
+        for k in (3, *range(6, len(after), 2)):
+            rows[k : k + 2] = C.T @ (rows[k : k + 2] - rows[:2])
+            rows[k] += after[k + 1] * rows[2]
+            rows[k + 1] -= after[k] * rows[2]
+        rows[5] -= rows[2]
+        rows[:3] = 0.0
 
     def _mean(self) -> Array:
         return in_world(self._belief.mean, self._start)

@@ -398,7 +398,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         H = np.linalg.solve(columns.T, fit.half.T).T
         super().update(z, lambda x: H, lambda x: at(x) + fit.mean, noise + fit.error, residual=residual)
 
-    def _linearises_in_world(self) -> bool:
+    def _leaves_jacobians(self) -> bool:
         return self.sigma_points == "partial"
 
     # -- sigma points over the whole state ----------------------------------------------------------------------------
