@@ -18,6 +18,7 @@ from contenders.triangle import Passes
 from scipy.linalg.blas import dsyrk
 
 SAMPLE = 0.2  # [s]; no sample is shorter
+WINDOW = 50  # steps of the drive over which a filter is sampled that is the slower the more steps it has taken
 MANY, LONG = 1000, 5.0  # a filter that puts work off is sampled over so many steps, or seconds where that is shorter
 
 
@@ -41,10 +42,14 @@ class Track:
         self.at += steps
         return taken
 
+    def position(self) -> int:
+        """Steps of the drive that are behind it."""
+        return self.at - self.work.survey
+
     def belief(self, steps: int, entries: IntArray) -> tuple[Array, Array]:
         """State (D,) and covariance (n, n) of some entries after so many steps of the drive."""
-        if steps > self.at - self.work.survey:
-            self.advance(steps - (self.at - self.work.survey))
+        if steps > self.position():
+            self.advance(steps - self.position())
         x, block = self.contender.joint(entries)
         return np.array(x), np.array(block)
 
@@ -55,6 +60,8 @@ class Track:
         how long a step takes.
         """
         most = self.work.steps - self.work.survey
+        if self.contender.grows:
+            return min(WINDOW, most)
         steps = 1
         while steps < most:
             taken = self.advance(steps)
@@ -69,9 +76,17 @@ class Track:
         """Seconds a step."""
         taken, done = 0.0, 0
         while taken < SAMPLE:
+            if self.contender.grows:
+                self._restart()
             taken += self.advance(steps)
             done += steps
         return taken / done
+
+    def aged(self, steps: int) -> float:
+        """Seconds a step after so many steps of the drive."""
+        self._restart()
+        self.advance(steps)
+        return self.advance(WINDOW) / WINDOW
 
     def worst(self, steps: int, repeats: int) -> Array:
         """Seconds (steps,) of each step called by itself, the least of some repeats: what the machine did apart."""

@@ -9,7 +9,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from _workload import Array, IntArray, Work
 
-#: Standard deviations by which filters may differ that do the same arithmetic in another order, after thousands of steps.
+#: Standard deviations by which filters may differ after thousands of steps that do the same in another order.
 ROUNDING = 1e-7
 
 
@@ -22,6 +22,8 @@ class Contender(Protocol):
 
     tolerance: ClassVar[float]  #: how far it may be from slamkit, in standard deviations
     defers: ClassVar[bool]  #: whether it puts work off to later steps, so that only many steps tell what one costs
+
+    grows: ClassVar[bool]  #: whether a step takes the longer the more it has taken before
 
     def __init__(self, work: Work) -> None: ...
 
@@ -46,6 +48,9 @@ CONTENDERS = {
     "slamkit, step, spread flush": "slamkit_ekf:Spread",
     "slamkit, predict + observe": "slamkit_ekf:Calls",
     "slamkit, step + read P": "slamkit_ekf:Read",
+    "MRPT": "mrpt:Davison",
+    "iSAM2": "isam2:Smoother",
+    "iSAM2 + covariance": "isam2:Joint",
     "NumPy, textbook": "dense:Textbook",
     "filterpy, dense": "dense:Filterpy",
 }

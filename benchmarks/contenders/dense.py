@@ -76,6 +76,7 @@ class Filterpy(ExtendedKalmanFilter):
 
     tolerance: ClassVar[float] = ROUNDING
     defers: ClassVar[bool] = False
+    grows: ClassVar[bool] = False
 
     def __init__(self, work: Work) -> None:
         super().__init__(work.dim, 2)
@@ -113,6 +114,7 @@ class Textbook:
 
     tolerance: ClassVar[float] = ROUNDING
     defers: ClassVar[bool] = False
+    grows: ClassVar[bool] = False
 
     def __init__(self, work: Work) -> None:
         self.work = work

@@ -21,6 +21,7 @@ class Run:
 
     tolerance: ClassVar[float] = ROUNDING
     defers: ClassVar[bool] = True
+    grows: ClassVar[bool] = False
 
     def __init__(self, work: Work) -> None:
         self.work = work

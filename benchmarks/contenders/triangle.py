@@ -32,6 +32,7 @@ class Triangle:
 
     tolerance: ClassVar[float] = ROUNDING
     defers: ClassVar[bool] = False
+    grows: ClassVar[bool] = False
 
     def __init__(self, work: Work) -> None:
         self.library, self.work = _library(), work
