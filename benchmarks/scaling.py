@@ -431,8 +431,8 @@ def markdown(facts: dict[str, Any], report: dict[str, Any]) -> str:
         if "seconds_a_step_later" in entry
     ]
     lines += [
-        f"The step of {e['name']} grows with the poses that it keeps. The tables have the first {WINDOW} steps of the drive; "
-        f"after {e['after']} it takes {duration(e['seconds'])} at N = {e['N']}.\n"
+        f"The step of {e['name']} grows with the poses that it keeps. The tables have the first {WINDOW} steps of the "
+        f"drive; after {e['after']} it takes {duration(e['seconds'])} at N = {e['N']}.\n"
         for e in later
     ]
     lines += [

@@ -59,8 +59,9 @@ class Step(Run):
 
     def times(self, begin: int, end: int) -> Array:
         """Seconds (end - begin,) that each step takes."""
-        step, marks = self.filter.step, [perf_counter()]
-        for u, dt, scan in self._arguments(begin, end):
+        step, arguments = self.filter.step, self._arguments(begin, end)
+        marks = [perf_counter()]
+        for u, dt, scan in arguments:
             step(u, dt, scan)
             marks.append(perf_counter())
         return np.diff(marks)
