@@ -148,7 +148,7 @@ def group_times(field: Field, work: Work, names: Sequence[str], rounds: int) -> 
         for name in (name for name in names if name not in field.out):
             taken[name].append(field.ask(name, "sample", *([] if name == FLOORS else [steps[name]])))
     times = {
-        name: Times(steps[name], taken[name], taken.get(PEER, []), checked[name])
+        name: Times(steps[name], taken[name], list(taken.get(PEER, [])), checked[name])
         for name in steps
         if name not in field.out
     }
@@ -413,7 +413,7 @@ def markdown(facts: dict[str, Any], report: dict[str, Any]) -> str:
         ]
         lines += [
             "Memory at the peak of a run, its survey included, above that of a process that has run on a small map; in "
-            "times of one P in float64. The C++ filter leaves the pages above the diagonal untouched.",
+            "times of one P in float64.",
             "",
             *table(["N", "contender", "MiB", "of P"], cells),
         ]

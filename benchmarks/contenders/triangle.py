@@ -36,7 +36,6 @@ class Triangle:
 
     def __init__(self, work: Work) -> None:
         self.library, self.work = _library(), work
-        # Not touched before they are written, pages above the diagonal take no memory.
         self.x, self.P, self.scratch = np.zeros(work.dim), np.zeros((work.dim, work.dim)), np.zeros(2 * work.dim)
         self.slots = 3 + 2 * work.ids
         self.sigmas = np.array([SIGMA_V, SIGMA_OMEGA, SIGMA_RANGE, SIGMA_BEARING])
