@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit import se2
-from slamkit.compiled import Models
+from slamkit.compiled import models_of
 from slamkit.errors import InputError, ModelError
 
 Array = NDArray[np.float64]
@@ -470,7 +470,23 @@ def _check_prediction(report: _Report, k: int, pose: Array, landmark: Array, dis
         report.jacobian(law, "predict", at, "pose", jacobians[0], scale, step, partial(_residual, report))
         law = "H_landmark is ∂predict/∂landmark"
         report.jacobian(law, "predict", at, "landmark", jacobians[1], scale, reach, partial(_residual, report))
+        _check_sight(report, pose, landmark, z, jacobians)
     return z
+
+
+def _check_sight(report: _Report, pose: Array, landmark: Array, z: Array, jacobians: tuple[Array, ...]) -> None:
+    """The law on the function that does everything at one blow, where there is one."""
+    sight = getattr(getattr(report.model, "functions", None), "sight", None)
+    if sight is None:
+        return
+    k, other = len(z), z + 0.1
+    found = np.empty(k), np.empty(k), np.empty((k, 3)), np.empty((k, 2))
+    sight(pose.copy(), landmark.copy(), other, np.asarray(report.model.params, dtype=float), *found)
+    expected = z, _residual(report, other, z), *jacobians
+    together, apart = (np.concatenate([a.ravel() for a in values]) for values in (found, expected))
+    bound = 1e-9 * (1 + np.abs(apart))
+    law = "sight is predict, residual and jacobians"
+    report.expect(law, np.abs(together - apart) <= bound, {"pose": pose, "landmark": landmark}, apart, together)
 
 
 def _check_inverse(report: _Report, k: int, pose: Array, z: Array, distance: float) -> None:
@@ -594,18 +610,6 @@ def _compile(report: _Report, functions: Any, params: Array) -> None:
     motion, sensor = Unicycle(0.1, 0.1), RelativePosition(0.1)
     moves = report.protocol == "MotionModel"
     f, g = (functions, sensor.functions) if moves else (motion.functions, functions)
-    _ = Models(
-        compiled=True,
-        move=f.move,
-        motion_jacobians=f.jacobians,
-        control_noise=f.control_noise,
-        pose_noise=f.pose_noise,
-        predict=g.predict,
-        sensor_jacobians=g.jacobians,
-        residual=g.residual,
-        invert=g.invert,
-        inverse_jacobians=g.inverse_jacobians,
-        motion_params=params if moves else motion.params,
-        sensor_params=sensor.params if moves else params,
-        R=np.array(sensor.R if moves else report.model.R, dtype=float),
-    ).handle
+    both = (params if moves else motion.params), (sensor.params if moves else params)
+    R = np.array(sensor.R if moves else report.model.R, dtype=float)
+    _ = models_of(f, g, *both, R, compiled=True).handle

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 PREDICT = "void(vector, vector, vector, vector)"
 JACOBIANS = "void(vector, vector, vector, matrix, matrix)"
 
+SIGHT = "void(vector, vector, vector, vector, vector, vector, matrix, matrix)"
+
 #: A landmark closer than this [m] has no bearing.
 SMALLEST_RANGE = 1e-6
 
@@ -86,6 +88,16 @@ def range_bearing_inverse_jacobians(pose: Any, z: Any, params: Any, G_pose: Any,
     G_z[1, 0] = s
 
 
+@compiled(SIGHT)
+def range_bearing_sight(
+    pose: Any, landmark: Any, z: Any, params: Any, z_hat: Any, y: Any, H_pose: Any, H_landmark: Any
+) -> None:
+    """The three above."""
+    range_bearing(pose, landmark, params, z_hat)
+    range_bearing_residual(z, z_hat, params, y)
+    range_bearing_jacobians(pose, landmark, params, H_pose, H_landmark)
+
+
 @dataclass(frozen=True)
 class RangeBearing(CompiledSensor):
     """Range and bearing: z = (r [m], β [rad]), β counter-clockwise from the robot's x axis.
@@ -119,6 +131,7 @@ class RangeBearing(CompiledSensor):
         range_bearing_residual,
         range_bearing_invert,
         range_bearing_inverse_jacobians,
+        range_bearing_sight,
     )
 
     def __post_init__(self) -> None:
@@ -189,6 +202,22 @@ def relative_position_inverse_jacobians(pose: Any, z: Any, params: Any, G_pose: 
     G_z[1, 0] = s
 
 
+@compiled(SIGHT)
+def relative_position_sight(
+    pose: Any, landmark: Any, z: Any, params: Any, z_hat: Any, y: Any, H_pose: Any, H_landmark: Any
+) -> None:
+    """The three above, with one sine and cosine."""
+    dx, dy = landmark[0] - pose[0], landmark[1] - pose[1]
+    c, s = cos(pose[2]), sin(pose[2])
+    z_hat[0], z_hat[1] = c * dx + s * dy, c * dy - s * dx
+    y[0], y[1] = z[0] - z_hat[0], z[1] - z_hat[1]
+    H_landmark[0, 0] = H_landmark[1, 1] = c
+    H_landmark[0, 1], H_landmark[1, 0] = s, -s
+    H_pose[0, 0] = H_pose[1, 1] = -c
+    H_pose[0, 1], H_pose[1, 0] = -s, s
+    H_pose[0, 2], H_pose[1, 2] = z_hat[1], -z_hat[0]
+
+
 @dataclass(frozen=True)
 class RelativePosition(CompiledSensor):
     """The landmark's position in robot axes: z = Cᵀ(l - p) [m, m]. Defined everywhere, at range zero too.
@@ -216,6 +245,7 @@ class RelativePosition(CompiledSensor):
         difference,
         relative_position_invert,
         relative_position_inverse_jacobians,
+        relative_position_sight,
     )
 
     def __post_init__(self) -> None:

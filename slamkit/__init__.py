@@ -1,5 +1,6 @@
 """Filter-based landmark SLAM that can be trusted."""
 
+from slamkit.belief import Storage
 from slamkit.errors import InputError, LogFileError, ModelError, SlamkitError
 from slamkit.filters import (
     EKFSLAM,
@@ -35,6 +36,7 @@ __all__ = [
     "RobocentricEKFSLAM",
     "Scan",
     "SlamkitError",
+    "Storage",
     "Truth",
     "World",
     "check_model",

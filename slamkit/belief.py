@@ -8,7 +8,7 @@ last flush is, and the rest is corrected at the next: `slamkit.kernels` has the 
 from __future__ import annotations
 
 import os
-from collections.abc import Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dgemm
 
 from slamkit import kernels
-from slamkit.compiled import Compiled, State
+from slamkit.compiled import ACTIVE, ACTIVE_THEN, COLUMNS, CORRECTED, ROWS, WHOLE, WHOLE_THEN, State
 from slamkit.errors import DivergenceError, InputError, MemoryCapError
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ BASE, BLOCK = 3, 2  #: dimensions of the base that a transition moves, and of on
 PANEL = kernels.PANEL
 
 #: What a multiply-add of a flush costs beside one of a small update, and what a flush costs besides, in the latter.
-FLUSH_RATE, FLUSH_START = 0.15, 3e5
+FLUSH_RATE, FLUSH_START = 0.4, 1e6
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Storage:
         A number is not positive.
     """
 
-    compress_above: int = 100
+    compress_above: int = 64
     flush_work: float | None = None
     memory_cap: float | None = None
 
@@ -120,7 +120,7 @@ class Belief:
         #: L⁻¹ H P (r, D) of the last update, once the active part no longer holds it.
         self._whole_w: Array | None = None
         kept = {"mean": start, "points": start, "cov": np.tril(np.asarray(covariance, dtype=float))}
-        kept |= {"memory": np.zeros(6), "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0], dtype=np.int64)}
+        kept |= {"memory": np.zeros(6), "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0, 0], dtype=np.int64)}
         kept |= {"owner": np.arange(b), "local": np.arange(b), "work": self._terms()}
         self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, whole=b + 8 * BLOCK)
 
@@ -131,8 +131,10 @@ class Belief:
 
     def _lay_out(self, kept: dict[str, Any], capacity: int, sightings: int, columns: int, whole: int) -> None:
         """Arrays of the given capacities that hold what is kept."""
-        k, m, rows = self._k, self._m, max(self._k * sightings, int(kept["size"][1]))
-        D = int(kept["size"][0])
+        k, m, rows = self._k, self._m, max(self._k * sightings, int(kept["size"][ROWS]), 2)
+        D = int(kept["size"][ACTIVE])
+        # Compiled code works on whole vectors of four numbers.
+        capacity, columns = -(-capacity // 4) * 4, -(-columns // 4) * 4
         self.storage.afford(8 * capacity * D, f"the covariance of {(D - self.base) // BLOCK} active landmarks")
 
         def copied(name: str, shape: tuple[int, ...], fill: float = 0.0) -> Any:
@@ -153,7 +155,7 @@ class Belief:
             size=kept["size"],
             work=kept["work"],
             Phi=copied("Phi", (capacity if columns else 0, columns)),
-            Psi=copied("Psi", (columns, columns)),
+            minus_Psi=copied("minus_Psi", (columns, columns)),
             theta=copied("theta", (columns,)),
             g=copied("g", (rows, columns)),
             columns=copied("columns", (columns,)) if "columns" in kept else np.zeros(columns, dtype=np.int64),
@@ -176,6 +178,7 @@ class Belief:
             nis=np.zeros(sightings),
             truth=copied("truth", (sightings, BLOCK)),
             accepted=np.zeros(sightings, dtype=np.bool_),
+            saved=np.zeros(kernels.SMALL * (kernels.SMALL + 9) // 2 + 20),
             z=copied("z", (rows,)),
             z_hat=np.zeros(k),
             y=copied("y", (rows,)),
@@ -199,17 +202,17 @@ class Belief:
     @property
     def dim(self) -> int:
         """D = b + 2N."""
-        return int(self.state.size[6])
+        return int(self.state.size[WHOLE])
 
     @property
     def active(self) -> int:
         """Dimension of the active part: D where nothing rests."""
-        return int(self.state.size[0])
+        return int(self.state.size[ACTIVE])
 
     @property
     def compressed(self) -> bool:
         """Whether anything may rest."""
-        return bool(self.state.size[5] > 0)
+        return bool(self.state.size[COLUMNS] > 0)
 
     @property
     def ids(self) -> tuple[Hashable, ...]:
@@ -224,7 +227,7 @@ class Belief:
             return np.array(s.mean[:D])
         out = np.zeros(self.dim)
         out[: len(s.rest)] = s.rest[: self.dim]
-        theta = s.theta[: s.size[5]]
+        theta = s.theta[: s.size[COLUMNS]]
         resting = np.flatnonzero(s.local[: self.dim] < 0)
         if theta.any():
             out[resting] += self._resting_rows(resting) @ theta
@@ -295,7 +298,7 @@ class Belief:
             return room if need <= room else max(need, 3 * room // 2)
 
         capacity = grown(len(s.mean), self.active + BLOCK * blocks)
-        columns = grown(len(s.theta), int(s.size[5]) + BLOCK * blocks) if self.compressed else 0
+        columns = grown(len(s.theta), int(s.size[COLUMNS]) + BLOCK * blocks) if self.compressed else 0
         room = max(grown(len(s.local), self.dim + BLOCK * blocks), capacity)
         self._lay_out(s.fields, capacity, len(s.nis), columns, room)
 
@@ -327,6 +330,13 @@ class Belief:
         return bool(self.state.V.shape[1])
 
     @property
+    def _Psi(self) -> Array:  # noqa: N802
+        """Ψ (C, C), symmetric."""
+        C = int(self.state.size[COLUMNS])
+        lower: Array = np.tril(-self.state.minus_Psi[:C, :C])
+        return lower + np.tril(lower, -1).T
+
+    @property
     def _rested(self) -> bool:
         """Whether the base's rows in the store are as they are now."""
         s = self.state
@@ -337,69 +347,73 @@ class Belief:
 
     def _begin_flush(self) -> None:
         """Move what is active, but for the base, to what rests; the correction of the rest is pending then."""
-        s, D, whole, C = self.state, self.active, self.dim, int(self.state.size[5])
-        self._keep_gain()
+        s, D, whole, C = self.state, self.active, self.dim, int(self.state.size[COLUMNS])
         self._grow_store(whole)
-        s = self.state
         owner = s.owner[:D].copy()
         if C == 0:
+            self._keep_gain(np.zeros((whole, 0)))
             kernels.pack(s.cov, D, s.store)
             s.rest[:D], s.rest_points[:D] = s.mean[:D], s.points[:D]
         else:
             V = np.zeros((-(-whole // PANEL) * PANEL, C))
             kernels.collect(s, V[:whole])
-            Psi = np.tril(s.Psi[:C, :C])
-            Psi += np.tril(Psi, -1).T
+            self._keep_gain(V[:whole])
             s.rest[:whole] += V[:whole] @ s.theta[:C]
             kernels.deposit(s, V[:whole] @ s.Phi[:D, :C].T)
             s.rest[owner], s.rest_points[owner] = s.mean[:D], s.points[:D]
             V[owner] = 0.0
-            s.replace(V=V, U=V @ Psi)
-            s.size[7] = 0
+            s.replace(V=V, U=V @ self._Psi)
+            s.size[CORRECTED] = 0
         if len(s.theta) < BASE:
             kept = {**s.fields, "cov": s.cov[:BASE, :BASE]}
-            kept["size"][0] = BASE
+            kept["size"][ACTIVE] = BASE
             capacity = BASE + 8 * BLOCK * max(4, len(s.nis) // 4)
             self._lay_out(kept, capacity, len(s.nis), capacity, len(s.local))
             s = self.state
         s.local[owner] = -1
         s.local[:BASE] = s.owner[:BASE] = s.columns[:BASE] = np.arange(BASE)
-        s.size[0] = s.size[5] = BASE
-        s.Phi[:BASE, :BASE], s.Psi[:BASE, :BASE], s.theta[:BASE] = np.eye(BASE), 0.0, 0.0
+        s.size[ACTIVE] = s.size[COLUMNS] = BASE
+        s.Phi[:BASE, :BASE], s.minus_Psi[:BASE, :BASE], s.theta[:BASE] = np.eye(BASE), 0.0, 0.0
         s.work[0] = 0.0
         if self.storage.flush_work is not None:
             # So that the beginning of the next flush is within the work of a step as well.
             s.work[3] = max(4 * BASE, np.sqrt(self.storage.flush_work / (6 * whole)))
 
     def _grow_store(self, whole: int) -> None:
-        """Make the store and the vectors beside it as long as the map; the store never moves through a copy."""
+        """Make the store and the vectors beside it as long as the map.
+
+        Two packed triangles, for a moment, are no more than one full matrix; and NumPy gives a new one large pages,
+        which halves the time of what goes down a column.
+        """
         s = self.state
-        panels = -(-whole // PANEL)
-        length = PANEL * PANEL * panels * (panels + 1) // 2
-        if length > len(s.store):
-            self.storage.afford(8 * length, f"the covariance of {(whole - self.base) // BLOCK} landmarks")
-            s.store.resize(length, refcheck=False)
-            rest, points = np.zeros(PANEL * panels), np.zeros(PANEL * panels)
-            rest[: len(s.rest)], points[: len(s.rest)] = s.rest, s.rest_points
-            s.replace(store=s.store, rest=rest, rest_points=points)
+        need, have = -(-whole // PANEL), len(s.rest) // PANEL
+        if need > have:
+            panels = max(need, 6 * have // 5)
+            self.storage.afford(4 * (PANEL * need) ** 2, f"the covariance of {(whole - self.base) // BLOCK} landmarks")
+            grown = {n: np.zeros(PANEL * panels) for n in ("rest", "rest_points")}
+            grown["store"] = np.zeros(PANEL * PANEL * panels * (panels + 1) // 2)
+            for name, array in grown.items():
+                old = getattr(s, name)
+                array[: len(old)] = old
+            s.replace(**grown)
 
     def _correct_rows(self, work: float | None) -> None:
-        """P_bb ← P_bb - Mᵀ Ψ M, panel by panel from ``size[7]`` on, until the work is spent."""
+        """P_bb ← P_bb - Mᵀ Ψ M, panel by panel from ``size[CORRECTED]`` on, until the work is spent."""
         s = self.state
         rank, whole = s.V.shape[1], len(s.V)
         if rank == 0:
             return
         spent = 0.0
-        while s.size[7] < whole and (work is None or spent < work):
-            row = int(s.size[7])
+        while s.size[CORRECTED] < whole and (work is None or spent < work):
+            row = int(s.size[CORRECTED])
             width = row + PANEL
             start = kernels.place(row, 0)
             panel = s.store[start : start + PANEL * width].reshape(PANEL, width)
             # BLAS sees the transpose, (width, PANEL) in its own order, and works in place.
             dgemm(-1.0, s.U[:width].T, s.V[row:width].T, 1.0, panel.T, trans_a=True, overwrite_c=True)
-            s.size[7] = width
+            s.size[CORRECTED] = width
             spent += PANEL * width * rank
-        if s.size[7] >= whole:
+        if s.size[CORRECTED] >= whole:
             s.replace(V=np.zeros((0, 0)), U=np.zeros((0, 0)))
 
     def _entries(self, i: Indices, j: Indices) -> Array:
@@ -409,13 +423,13 @@ class Belief:
         p = i // PANEL
         out: Array = s.store[PANEL * (p + 1) * (i - PANEL // 2 * p) + j]
         if self._pending:
-            late = i >= s.size[7]
+            late = i >= s.size[CORRECTED]
             out[late] -= np.einsum("nr,nr->n", s.V[i[late]], s.U[j[late]])
         return out
 
     def _resting_rows(self, at: Indices) -> Array:
         """P⁰[at, A₀] (len(at), C)."""
-        columns = self.state.columns[: self.state.size[5]]
+        columns = self.state.columns[: self.state.size[COLUMNS]]
         return self._entries(*np.broadcast_arrays(at[:, None], columns[None]))
 
     # -- the cycle ----------------------------------------------------------------------------------------------------
@@ -465,16 +479,16 @@ class Belief:
         s.S[:rows, :rows], s.L[:rows, :rows], s.y[:rows] = S, L, y
         w = solve_triangular(L, cross.T, lower=True)
         s.t[:rows] = solve_triangular(L, y, lower=True)
-        s.size[1] = rows
+        s.size[ROWS] = rows
         if self.compressed:
-            self._whole_w, s.size[2] = w, -1
+            self._whole_w, s.size[ACTIVE_THEN] = w, -1
         else:
-            s.w[:rows, :D], s.size[2] = w, D
-            kernels.correction(s, rows)
+            s.w[:rows, :D], s.size[ACTIVE_THEN] = w, D
+            s.dx[:D] = w.T @ s.t[:rows]
 
-    def correct(self, retract: Compiled) -> None:
+    def correct(self, retract: Callable[[State], None]) -> None:
         """Carry out the update that `gain` or `gain_of` prepared: P ← P - wᵀw, and `retract` moves the mean."""
-        s, rows = self.state, int(self.state.size[1])
+        s, rows = self.state, int(self.state.size[ROWS])
         if not self.compressed:
             kernels.downdate(s, rows)
             retract(s)
@@ -485,7 +499,7 @@ class Belief:
         V = np.zeros((-(-self.dim // PANEL) * PANEL, rows))
         V[: self.dim] = w.T
         s.replace(V=V, U=V)
-        s.size[7] = 0
+        s.size[CORRECTED] = 0
         self._correct_rows(None)
         dx = w.T @ s.t[:rows]
         s.rest[: self.dim] += dx
@@ -503,24 +517,30 @@ class Belief:
     @property
     def gain_rows(self) -> Array:
         """L⁻¹ H P (r, D) of the last update, in the order of the map; zero for blocks that came after it."""
-        s, rows = self.state, int(self.state.size[1])
+        s, rows = self.state, int(self.state.size[ROWS])
+        if s.size[ACTIVE_THEN] >= 0:
+            M, then = np.zeros((self.dim, int(s.size[COLUMNS]))), s.local[: s.size[WHOLE_THEN]]
+            if self.compressed:
+                rest = np.flatnonzero((then < 0) | (then >= s.size[ACTIVE_THEN]))
+                M[rest] = self._resting_rows(rest)
+            return self._gain_rows(M)
         out = np.zeros((rows, self.dim))
-        D = int(s.size[2])
-        if D < 0:
-            assert self._whole_w is not None
-            out[:, : self._whole_w.shape[1]] = self._whole_w
-            return out
-        out[:, s.owner[:D]] = s.w[:rows, :D]
-        if self.compressed:
-            then = int(s.size[8])
-            rest = np.flatnonzero((s.local[:then] < 0) | (s.local[:then] >= D))
-            out[:, rest] = (self._resting_rows(rest) @ s.g[:rows, : s.size[5]].T).T
+        assert self._whole_w is not None
+        out[:, : self._whole_w.shape[1]] = self._whole_w
         return out
 
-    def _keep_gain(self) -> None:
+    def _gain_rows(self, M: Array) -> Array:
+        """`gain_rows` from what is active, and from M = P⁰[:, A₀] (D, C) for what was not at the last update."""
+        s, rows, D = self.state, int(self.state.size[ROWS]), int(self.state.size[ACTIVE_THEN])
+        out = np.asarray(s.g[:rows, : M.shape[1]] @ M.T) if M.shape[1] else np.zeros((rows, len(M)))
+        out[:, s.size[WHOLE_THEN] :] = 0.0
+        out[:, s.owner[:D]] = s.w[:rows, :D]
+        return out
+
+    def _keep_gain(self, M: Array) -> None:
         """Before the active part changes hands: what `gain_rows` would no longer find in it."""
-        if self.state.size[2] >= 0 and self.state.size[1] > 0:
-            self._whole_w, self.state.size[2] = self.gain_rows, -1
+        if self.state.size[ACTIVE_THEN] >= 0 and self.state.size[ROWS] > 0:
+            self._whole_w, self.state.size[ACTIVE_THEN] = self._gain_rows(M), -1
 
     def augment(self, block_id: Hashable, mean: ArrayLike, G: ArrayLike, noise: ArrayLike) -> None:
         """Append a block: P_ls = G P_xs, P_ll = G P_xx Gᵀ + noise, G (2, 3) on the base's first three."""
@@ -541,8 +561,8 @@ class Belief:
         s.cov[slot : slot + BLOCK, :slot] = cross
         s.cov[slot : slot + BLOCK, slot : slot + BLOCK] = np.tril(block)
         s.owner[slot : slot + BLOCK] = s.local[slot : slot + BLOCK] = slot, slot + 1
-        s.size[0] += BLOCK
-        s.size[6] += BLOCK
+        s.size[ACTIVE] += BLOCK
+        s.size[WHOLE] += BLOCK
         return slot
 
     def remove(self, block_id: Hashable) -> None:
@@ -564,11 +584,12 @@ class Belief:
             for vector in (s.mean, s.points):
                 vector[: D - BLOCK] = vector[rest]
             s.w[:, : D - BLOCK] = s.w[:, rest]
-            s.size[0] -= BLOCK
+            s.size[ACTIVE] -= BLOCK
             s.local[D - BLOCK : D] = -1
-            if s.size[2] >= 0:
-                s.size[2] = min(s.size[2], s.size[0]) if s.size[2] <= slot else s.size[2] - BLOCK
-        s.size[6] -= BLOCK
+            then = int(s.size[ACTIVE_THEN])
+            if then >= 0:
+                s.size[ACTIVE_THEN] = min(then, D - BLOCK) if then <= slot else then - BLOCK
+        s.size[WHOLE] -= BLOCK
         self.slots = {i: k if k < slot else k - BLOCK for i, k in self.slots.items()}
 
     # -- reading a part -----------------------------------------------------------------------------------------------
@@ -599,7 +620,7 @@ class Belief:
         i, j = np.broadcast_arrays(i, j)
         if not self.compressed:
             return s.mean[at], s.cov[np.maximum(i, j), np.minimum(i, j)]
-        local, C = s.local[at], int(s.size[5])
+        local, C = s.local[at], int(s.size[COLUMNS])
         resting = local < 0
         # With (Φ_a, 0) for what is active and (c, 1) for what rests: P_ab = P_AA, Φ_a c_b or P⁰_bb - c_aᵀ Ψ c_b.
         rows = np.zeros((*at.shape, C))
@@ -607,21 +628,19 @@ class Belief:
         active = s.Phi[np.maximum(local, 0)][:, :, :C]
         mean = np.where(resting, 0.0, s.mean[np.maximum(local, 0)])
         mean[resting] = s.rest[at[resting]] + rows[resting] @ s.theta[:C]
-        Psi = np.tril(s.Psi[:C, :C])
-        Psi += np.tril(Psi, -1).T
         both, none = resting[:, :, None] & resting[:, None, :], ~resting[:, :, None] & ~resting[:, None, :]
         out = np.einsum("nac,nbc->nab", np.where(resting[..., None], 0.0, active), rows)
         out += out.transpose(0, 2, 1)
         a, b = np.maximum(local[:, :, None], 0), np.maximum(local[:, None, :], 0)
         a, b = np.broadcast_arrays(a, b)
         out[none] = s.cov[np.maximum(a, b), np.minimum(a, b)][none]
-        out[both] = self._entries(i[both], j[both]) - (rows @ Psi @ rows.transpose(0, 2, 1))[both]
+        out[both] = self._entries(i[both], j[both]) - (rows @ self._Psi @ rows.transpose(0, 2, 1))[both]
         return mean, out
 
     def arrays(self) -> dict[str, Array | Indices]:
         """What `take` needs to go on bit for bit, after a flush."""
         self.flush()
-        s, D, rows = self.state, self.active, int(self.state.size[1])
+        s, D, rows = self.state, self.active, int(self.state.size[ROWS])
         kept = {
             **{n: getattr(s, n) for n in ("size", "work", "memory", "F", "Q", "rest", "rest_points", "store")},
             **{n: getattr(s, n)[:D] for n in ("mean", "points")},
@@ -639,17 +658,17 @@ class Belief:
             The arrays do not fit each other or the ids.
         """
         size = np.array(arrays["size"], dtype=np.int64)
-        D, whole, C, rows = int(size[0]), int(size[6]), int(size[5]), int(size[1])
+        D, whole, C, rows = int(size[ACTIVE]), int(size[WHOLE]), int(size[COLUMNS]), int(size[ROWS])
         self.slots = {i: self.base + BLOCK * n for n, i in enumerate(ids)}
         resting = C == BASE == D and len(arrays["rest"]) >= whole
-        if self.base + BLOCK * len(self.slots) != whole or not (resting or (C == 0 and D == whole)):
+        if self.base + BLOCK * len(self.slots) != whole or not (resting or (C == 0 and whole == D)):
             raise ValueError(f"{len(self.slots)} landmark ids and a state of {whole}")
-        self._whole_w, size[2] = np.array(arrays["w"], dtype=float), -1
+        self._whole_w, size[ACTIVE_THEN] = np.array(arrays["w"], dtype=float), -1
         kept: dict[str, Any] = {n: np.array(v) for n, v in arrays.items() if n != "w"} | {"size": size}
         local = np.full(whole, -1, dtype=np.int64)
         local[:D] = kept["owner"] = np.arange(D)
         if C:
-            kept |= {"Phi": np.eye(BASE), "Psi": np.zeros((BASE, BASE)), "columns": np.arange(BASE)}
+            kept |= {"Phi": np.eye(BASE), "minus_Psi": np.zeros((BASE, BASE)), "columns": np.arange(BASE)}
         room = BASE + 8 * BLOCK
         sightings = max(8, -(-rows // self._k))
         self._lay_out({**kept, "local": local}, max(D, room), sightings, room if C else 0, max(whole, room))
@@ -657,13 +676,13 @@ class Belief:
     def snapshot(self) -> dict[str, Any]:
         """Everything that `restore` needs to bring the belief back to the bit, unless it is flushed meanwhile."""
         D = self.active
-        fixed = ("cov", "gathered", "dx", "store", "rest", "rest_points", "V", "U")
+        fixed = ("cov", "gathered", "dx", "saved", "store", "rest", "rest_points", "V", "U")
         whole = {n: np.array(v) for n, v in self.state.fields.items() if n not in fixed}
         return {**whole, "cov": np.array(self.state.cov[:D, :D]), "slots": dict(self.slots), "gain": self._whole_w}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Undo everything since `snapshot`."""
-        D = int(snapshot["size"][0])
+        D = int(snapshot["size"][ACTIVE])
         self.slots, self._whole_w = dict(snapshot["slots"]), snapshot["gain"]
         for name, old in snapshot.items():
             if name in ("cov", "slots", "gain"):
@@ -674,5 +693,5 @@ class Belief:
 
 
 def _add(state: State) -> None:
-    D = state.size[0]
+    D = state.size[ACTIVE]
     state.mean[:D] += state.dx[:D]

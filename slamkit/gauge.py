@@ -20,7 +20,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from slamkit import se2
 from slamkit.checks import finite_array
-from slamkit.compiled import Models
+from slamkit.compiled import ROWS, WHOLE, Models
 from slamkit.consistency import ATOL, nees
 from slamkit.errors import DivergenceError, InputError
 from slamkit.filters.base import LandmarkFilter
@@ -530,14 +530,14 @@ def _recording(filter: LandmarkFilter) -> tuple[LandmarkFilter, list[tuple[int, 
 
     # Every update ends in one retraction, with the Jacobians that it used still in the state.
     def retract(state: Any) -> None:
-        rows, k = int(state.size[1]), state.noise.shape[1]
+        rows, k = int(state.size[ROWS]), state.noise.shape[1]
         H = np.hstack([state.H_pose[:rows], state.H_landmark[:rows]])
-        keep(state.slots[: rows // k], H.reshape(-1, k, 5), state.noise[:rows].reshape(-1, k, k))
+        keep(state.owner[state.slots[: rows // k]], H.reshape(-1, k, 5), state.noise[:rows].reshape(-1, k, k))
         own.retract(state)
 
     def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
         own.start(models, state, slot, place, z)
-        keep([slot], np.hstack([-state.G_pose, np.eye(2)])[None], state.block[None])
+        keep([state.size[WHOLE]], np.hstack([-state.G_pose, np.eye(2)])[None], state.block[None])
 
     policy.plain = SimpleNamespace(**{**vars(own), "retract": retract, "start": start})
     f._policy, f._models = policy, Models(compiled=False, **f._models.fields)

@@ -1,10 +1,10 @@
 """The linear algebra under a belief: the covariance's lower triangle, and nothing of robots.
 
 ``state.cov`` holds the lower triangle of the active part P_AA; what stands above the diagonal means nothing.
-D = ``state.size[0]`` is its dimension. What is not active rests: its covariance as of the last flush is P⁰, packed in
-``state.store``, and every correction since then is kept in small matrices (Guivant & Nebot, IEEE TRA 17(3), 2001, with
-an active set that grows). With A₀ the C = ``state.size[5]`` coordinates that rested at the flush and are active now,
-b what rests still and M = P⁰[A₀, b]:
+D = ``state.size[ACTIVE]`` is its dimension. What is not active rests: its covariance as of the last flush is P⁰,
+packed in ``state.store``, and every correction since then is kept in small matrices (Guivant & Nebot, IEEE TRA 17(3),
+2001, with an active set that grows). With A₀ the C = ``state.size[COLUMNS]`` coordinates that rested at the flush and
+are active now, b what rests still and M = P⁰[A₀, b]:
 
     P_Ab = Φ M,    P_bb = P⁰_bb - Mᵀ Ψ M,    x_b = x⁰_b + Mᵀ ϑ.
 
@@ -16,15 +16,15 @@ from __future__ import annotations
 from math import isfinite, sqrt
 from typing import Any
 
-from slamkit.compiled import compiled
+from slamkit.compiled import ACTIVE, COLUMNS, CORRECTED, WHOLE, compiled, intrinsics
 
 __all__ = [
+    "absorb",
     "activate",
     "all_finite",
     "augment",
     "cholesky",
     "collect",
-    "correction",
     "deposit",
     "downdate",
     "expand",
@@ -35,13 +35,22 @@ __all__ = [
     "project",
     "propagate",
     "record",
+    "save",
     "shear",
     "squeeze",
+    "undo",
     "whiten",
 ]
 
 #: Rows of one panel of the packed triangle: panel p is a matrix (PANEL, PANEL (p + 1)), diagonal blocks are square.
 PANEL = 64
+
+#: ``(M, i, x, y, a, b, n)``: row i, or rows i … i + 3, of M -= x[i] a + y[i] b in their first n columns at least;
+#: arrays must have room up to a multiple of four columns.
+subtract_row, subtract_four_rows = intrinsics("vectors", "subtract_row", "subtract_four_rows")
+
+#: A belief up to this dimension is saved before a step rather than asked beforehand whether the step will work.
+SMALL = 48
 
 
 @compiled("flag(vector)")
@@ -70,7 +79,7 @@ def propagate(state: Any) -> None:
     Reads ``state.F`` and ``state.Q``; Q is taken symmetric.
     """
     cov, F, Q, Phi = state.cov, state.F, state.Q, state.Phi
-    D = state.size[0]
+    D = state.size[ACTIVE]
     f00, f01, f02 = F[0, 0], F[0, 1], F[0, 2]
     f10, f11, f12 = F[1, 0], F[1, 1], F[1, 2]
     f20, f21, f22 = F[2, 0], F[2, 1], F[2, 2]
@@ -89,7 +98,7 @@ def propagate(state: Any) -> None:
         c = F[i, 0] * p20 + F[i, 1] * p21 + F[i, 2] * p22
         for j in range(i + 1):
             cov[i, j] = a * F[j, 0] + b * F[j, 1] + c * F[j, 2] + Q[i, j]
-    for j in range(state.size[5]):
+    for j in range(state.size[COLUMNS]):
         a, b, c = Phi[0, j], Phi[1, j], Phi[2, j]
         Phi[0, j] = f00 * a + f01 * b + f02 * c
         Phi[1, j] = f10 * a + f11 * b + f12 * c
@@ -100,7 +109,7 @@ def propagate(state: Any) -> None:
 def gather(state: Any, slot: int, count: int) -> None:
     """Copy rows slot … slot+count-1 of the symmetric P into the last rows of ``state.gathered``."""
     cov = state.cov
-    D = state.size[0]
+    D = state.size[ACTIVE]
     for r in range(count):
         source = slot + r
         out = state.gathered[5 - count + r] if count == 2 else state.gathered[r]
@@ -122,34 +131,126 @@ def gather(state: Any, slot: int, count: int) -> None:
             c[i] = row[2]
 
 
+@compiled("void(state, index, index, index)")
+def project_pair(state: Any, slot: int, first: int, second: int) -> None:
+    """Rows `first` and `second` of w ← those of H P, for two rows of H that concern one landmark, in one pass."""
+    cov, Hp, Hl = state.cov, state.H_pose, state.H_landmark
+    D = state.size[ACTIVE]
+    w0, w1 = state.w[first][:D], state.w[second][:D]
+    a0, b0, c0, d0, e0 = Hp[first, 0], Hp[first, 1], Hp[first, 2], Hl[first, 0], Hl[first, 1]
+    a1, b1, c1, d1, e1 = Hp[second, 0], Hp[second, 1], Hp[second, 2], Hl[second, 0], Hl[second, 1]
+    slot = max(slot, 3)
+    l0, l1 = cov[slot][: slot + 1], cov[slot + 1][: slot + 2]
+    for i in range(D):
+        if i < slot:
+            row = cov[max(i, 2)]
+            p, q = l0[i], l1[i]
+            x, y, z = (
+                (cov[max(i, 0), min(i, 0)], cov[max(i, 1), min(i, 1)], row[i]) if i < 3 else (row[0], row[1], row[2])
+            )
+        else:
+            row = cov[i]
+            x, y, z = row[0], row[1], row[2]
+            p, q = row[slot], l1[slot] if i == slot else row[slot + 1]
+        w0[i] = a0 * x + b0 * y + c0 * z + d0 * p + e0 * q
+        w1[i] = a1 * x + b1 * y + c1 * z + d1 * p + e1 * q
+
+
 @compiled("void(state, index, index)")
 def project(state: Any, n: int, k: int) -> None:
     """w ← H P and S ← H P Hᵀ + R for the n sightings in ``state.slots``, k rows each: O(nkD).
 
     Each row of H has five entries: three in ``state.H_pose``, two in ``state.H_landmark``.
     """
-    D = state.size[0]
-    w, S, Hp, Hl, rows = state.w, state.S, state.H_pose, state.H_landmark, state.gathered
-    gather(state, 0, 3)
-    p0, p1, p2 = rows[0][:D], rows[1][:D], rows[2][:D]
+    w, S, Hp, Hl, slots, noise = state.w, state.S, state.H_pose, state.H_landmark, state.slots, state.noise
     for j in range(n):
-        gather(state, state.slots[j], 2)
-        l0, l1 = rows[3][:D], rows[4][:D]
-        for r in range(j * k, (j + 1) * k):
-            out = w[r][:D]
-            a, b, c, d, e = Hp[r, 0], Hp[r, 1], Hp[r, 2], Hl[r, 0], Hl[r, 1]
-            for i in range(D):
-                out[i] = a * p0[i] + b * p1[i] + c * p2[i] + d * l0[i] + e * l1[i]
-    for r in range(n * k):
-        wr = w[r]
-        for q in range(r + 1):
-            slot = state.slots[q // k]
-            S[r, q] = (
-                Hp[q, 0] * wr[0] + Hp[q, 1] * wr[1] + Hp[q, 2] * wr[2] + Hl[q, 0] * wr[slot] + Hl[q, 1] * wr[slot + 1]
-            )
-            if q // k == r // k:
-                S[r, q] += state.noise[r, q % k]
-            S[q, r] = S[r, q]
+        # An odd last row is reckoned twice, to the same numbers.
+        for r in range(0, k, 2):
+            project_pair(state, slots[j], j * k + r, j * k + min(r + 1, k - 1))
+    for j in range(n):
+        for a in range(k):
+            r = j * k + a
+            wr = w[r]
+            for i in range(j + 1):
+                slot = slots[i]
+                p, q = wr[slot], wr[slot + 1]
+                for b in range(k if i < j else a + 1):
+                    c = i * k + b
+                    s = Hp[c, 0] * wr[0] + Hp[c, 1] * wr[1] + Hp[c, 2] * wr[2] + Hl[c, 0] * p + Hl[c, 1] * q
+                    if i == j:
+                        s += noise[r, b]
+                    S[r, c] = S[c, r] = s
+
+
+@compiled("real(state, real)")
+def absorb(state: Any, gate: float) -> Any:
+    """All that an update by one sighting of two rows needs, in one pass: its NIS, or -1 if S is not definite.
+
+    S, L and t are written; where the NIS is within the gate w ← L⁻¹ H P and dx ← wᵀ t too: `project`, `cholesky`,
+    `forward` and `whiten` for this case, which is nearly every case.
+    """
+    cov, Hp, Hl, y, t, S, L = state.cov, state.H_pose, state.H_landmark, state.y, state.t, state.S, state.L
+    D, s = state.size[ACTIVE], max(state.slots[0], 3)
+    a, b, c, d, e = Hp[0, 0], Hp[0, 1], Hp[0, 2], Hl[0, 0], Hl[0, 1]
+    f, g, h, p, q = Hp[1, 0], Hp[1, 1], Hp[1, 2], Hl[1, 0], Hl[1, 1]
+    l0, l1 = cov[s], cov[s + 1]
+    p00, p10, p20, p11, p21, p22 = cov[0, 0], cov[1, 0], cov[2, 0], cov[1, 1], cov[2, 1], cov[2, 2]
+    # P Hᵀ in the rows that H reads.
+    u0 = a * p00 + b * p10 + c * p20 + d * l0[0] + e * l1[0]
+    u1 = a * p10 + b * p11 + c * p21 + d * l0[1] + e * l1[1]
+    u2 = a * p20 + b * p21 + c * p22 + d * l0[2] + e * l1[2]
+    u3 = a * l0[0] + b * l0[1] + c * l0[2] + d * l0[s] + e * l1[s]
+    u4 = a * l1[0] + b * l1[1] + c * l1[2] + d * l1[s] + e * l1[s + 1]
+    v0 = f * p00 + g * p10 + h * p20 + p * l0[0] + q * l1[0]
+    v1 = f * p10 + g * p11 + h * p21 + p * l0[1] + q * l1[1]
+    v2 = f * p20 + g * p21 + h * p22 + p * l0[2] + q * l1[2]
+    v3 = f * l0[0] + g * l0[1] + h * l0[2] + p * l0[s] + q * l1[s]
+    v4 = f * l1[0] + g * l1[1] + h * l1[2] + p * l1[s] + q * l1[s + 1]
+    S00 = a * u0 + b * u1 + c * u2 + d * u3 + e * u4 + state.noise[0, 0]
+    S10 = a * v0 + b * v1 + c * v2 + d * v3 + e * v4 + state.noise[1, 0]
+    S11 = f * v0 + g * v1 + h * v2 + p * v3 + q * v4 + state.noise[1, 1]
+    S[0, 0], S[0, 1], S[1, 0], S[1, 1] = S00, S10, S10, S11
+    if not (S00 > 0.0 and isfinite(S00)):
+        return -1.0
+    L00 = sqrt(S00)
+    i0 = 1.0 / L00
+    L10 = S10 * i0
+    rest = S11 - L10 * L10
+    if not (rest > 0.0 and isfinite(rest)):
+        return -1.0
+    L11 = sqrt(rest)
+    i1 = 1.0 / L11
+    L[0, 0], L[1, 0], L[1, 1] = L00, L10, L11
+    t0 = y[0] * i0
+    t1 = (y[1] - L10 * t0) * i1
+    t[0], t[1] = t0, t1
+    nis = t0 * t0 + t1 * t1
+    if not nis <= gate:
+        return nis
+    # From here on the two rows of L⁻¹ H in the place of those of H.
+    a, b, c, d, e = a * i0, b * i0, c * i0, d * i0, e * i0
+    f, g, h = (f - L10 * a) * i1, (g - L10 * b) * i1, (h - L10 * c) * i1
+    p, q = (p - L10 * d) * i1, (q - L10 * e) * i1
+    w0, w1, dx = state.w[0], state.w[1], state.dx
+    w0[0], w0[1], w0[2], w0[s], w0[s + 1] = u0 * i0, u1 * i0, u2 * i0, u3 * i0, u4 * i0
+    w1[0], w1[1], w1[2] = (v0 - L10 * w0[0]) * i1, (v1 - L10 * w0[1]) * i1, (v2 - L10 * w0[2]) * i1
+    w1[s], w1[s + 1] = (v3 - L10 * w0[s]) * i1, (v4 - L10 * w0[s + 1]) * i1
+    for i in range(3):
+        dx[i] = t0 * w0[i] + t1 * w1[i]
+    dx[s], dx[s + 1] = t0 * w0[s] + t1 * w1[s], t0 * w0[s + 1] + t1 * w1[s + 1]
+    for i in range(3, s):
+        row, m, n = cov[i], l0[i], l1[i]
+        x, z, o = row[0], row[1], row[2]
+        w = a * x + b * z + c * o + d * m + e * n
+        v = f * x + g * z + h * o + p * m + q * n
+        w0[i], w1[i], dx[i] = w, v, t0 * w + t1 * v
+    for i in range(s + 2, D):
+        row = cov[i]
+        x, z, o, m, n = row[0], row[1], row[2], row[s], row[s + 1]
+        w = a * x + b * z + c * o + d * m + e * n
+        v = f * x + g * z + h * o + p * m + q * n
+        w0[i], w1[i], dx[i] = w, v, t0 * w + t1 * v
+    return nis
 
 
 @compiled("flag(matrix, matrix, index, index)")
@@ -158,6 +259,16 @@ def cholesky(S: Any, L: Any, first: int, n: int) -> bool:
 
     Only the lower triangles are read and written.
     """
+    if n == 2:
+        i = max(first, 0)
+        p, q, r = S[i, i], S[i + 1, i], S[i + 1, i + 1]
+        a = sqrt(p) if p > 0.0 else 0.0
+        b = q / a
+        c = r - b * b
+        if not (a > 0.0 and isfinite(a) and c > 0.0 and isfinite(c)):
+            return False
+        L[i, i], L[i + 1, i], L[i + 1, i + 1] = a, b, sqrt(c)
+        return True
     for i in range(first, first + n):
         for j in range(first, i + 1):
             s = S[i, j]
@@ -187,42 +298,55 @@ def forward(L: Any, y: Any, t: Any, first: int, n: int) -> float:
 
 @compiled("void(state, index)")
 def whiten(state: Any, rows: int) -> None:
-    """w ← L⁻¹ w, row by row."""
-    D = state.size[0]
-    w, L = state.w, state.L
-    for i in range(rows):
-        out = w[i][:D]
-        for j in range(i):
-            factor, other = L[i, j], w[j][:D]
-            for c in range(D):
-                out[c] -= factor * other[c]
-        inverse = 1.0 / L[i, i]
-        for c in range(D):
-            out[c] *= inverse
+    """w ← L⁻¹ w, then dx ← wᵀ t = K y."""
+    D = state.size[ACTIVE]
+    w, L, t, dx = state.w, state.L, state.t, state.dx[:D]
+    for r in range(0, rows, 2):
+        a = w[r][:D]
+        for j in range(r):
+            factor, other = L[r, j], w[j][:D]
+            for i in range(D):
+                a[i] -= factor * other[i]
+        inverse, ta = 1.0 / L[r, r], t[r]
+        if r + 1 == rows:
+            for i in range(D):
+                a[i] *= inverse
+                dx[i] = ta * a[i] if r == 0 else dx[i] + ta * a[i]
+            break
+        b = w[r + 1][:D]
+        for j in range(r):
+            factor, other = L[r + 1, j], w[j][:D]
+            for i in range(D):
+                b[i] -= factor * other[i]
+        below, last, tb = L[r + 1, r], 1.0 / L[r + 1, r + 1], t[r + 1]
+        if r == 0:
+            for i in range(D):
+                x = a[i] * inverse
+                y = (b[i] - below * x) * last
+                a[i], b[i], dx[i] = x, y, ta * x + tb * y
+        else:
+            for i in range(D):
+                x = a[i] * inverse
+                y = (b[i] - below * x) * last
+                a[i], b[i] = x, y
+                dx[i] += ta * x + tb * y
 
 
 @compiled("void(matrix, index, vector, vector)")
 def subtract_pair(M: Any, n: int, a: Any, b: Any) -> None:
-    """Lower triangle of M (n, n) ← M - aᵀa - bᵀb, two rows at a time: each entry of a and b serves both."""
-    for i in range(0, n - 1, 2):
-        upper, lower, left, right = M[i][: i + 1], M[i + 1][: i + 1], a[: i + 1], b[: i + 1]
-        x0, y0, x1, y1 = a[i], b[i], a[i + 1], b[i + 1]
-        for j in range(i + 1):
-            upper[j] -= x0 * left[j] + y0 * right[j]
-            lower[j] -= x1 * left[j] + y1 * right[j]
-        M[i + 1, i + 1] -= x1 * x1 + y1 * y1
-    if n % 2 == 1:
-        row, left, right = M[n - 1][:n], a[:n], b[:n]
-        x0, y0 = a[n - 1], b[n - 1]
-        for j in range(n):
-            row[j] -= x0 * left[j] + y0 * right[j]
+    """Lower triangle of M (n, n) ← M - aᵀa - bᵀb; what stands above the diagonal is spoilt."""
+    whole = n - n % 4
+    for i in range(0, whole, 4):
+        subtract_four_rows(M, i, a, b, a, b, i + 4)
+    for i in range(whole, n):
+        subtract_row(M, i, a, b, a, b, i + 1)
 
 
 @compiled("void(state, index)")
 def downdate(state: Any, rows: int) -> None:
     """P ← P - wᵀw, a symmetric downdate of one triangle: O(rows · D²/2)."""
     cov, w = state.cov, state.w
-    D = state.size[0]
+    D = state.size[ACTIVE]
     for r in range(0, rows - 1, 2):
         subtract_pair(cov, D, w[r], w[r + 1])
     if rows % 2 == 1:
@@ -240,50 +364,41 @@ def record(state: Any, n: int, k: int) -> None:
 
     With g = L⁻¹ H Φ: Φ ← Φ - wᵀg, Ψ ← Ψ + gᵀg, ϑ ← ϑ + gᵀt. Reads H, L, w and t of the update.
     """
-    C, D = state.size[5], state.size[0]
-    Phi, Psi, g, L, Hp, Hl = state.Phi, state.Psi, state.g, state.L, state.H_pose, state.H_landmark
-    p0, p1, p2 = Phi[0][:C], Phi[1][:C], Phi[2][:C]
-    for r in range(n * k):
-        slot = state.slots[r // k]
-        l0, l1, out = Phi[slot][:C], Phi[slot + 1][:C], g[r][:C]
-        a, b, c, d, e = Hp[r, 0], Hp[r, 1], Hp[r, 2], Hl[r, 0], Hl[r, 1]
-        for i in range(C):
-            out[i] = a * p0[i] + b * p1[i] + c * p2[i] + d * l0[i] + e * l1[i]
-        for q in range(r):
-            factor, other = L[r, q], g[q][:C]
+    C, D = state.size[COLUMNS], state.size[ACTIVE]
+    Phi, Psi, g, L, Hp, Hl = state.Phi, state.minus_Psi, state.g, state.L, state.H_pose, state.H_landmark
+    p0, p1, p2, theta = Phi[0][:C], Phi[1][:C], Phi[2][:C], state.theta[:C]
+    for j in range(n):
+        slot = state.slots[j]
+        l0, l1 = Phi[slot][:C], Phi[slot + 1][:C]
+        for r in range(j * k, (j + 1) * k):
+            out = g[r][:C]
+            a, b, c, d, e = Hp[r, 0], Hp[r, 1], Hp[r, 2], Hl[r, 0], Hl[r, 1]
             for i in range(C):
-                out[i] -= factor * other[i]
-        inverse = 1.0 / L[r, r]
-        for i in range(C):
-            out[i] *= inverse
-    theta = state.theta[:C]
-    for r in range(n * k):
-        factor, out = state.t[r], g[r][:C]
-        for i in range(C):
-            theta[i] += factor * out[i]
-        w = state.w[r]
-        for i in range(D):
-            row, x = Phi[i][:C], w[i]
-            for j in range(C):
-                row[j] -= x * out[j]
-        for i in range(C):
-            row, left = Psi[i][: i + 1], out[: i + 1]
-            x = out[i]
-            for j in range(i + 1):
-                row[j] += x * left[j]
-
-
-@compiled("void(state, index)")
-def correction(state: Any, rows: int) -> None:
-    """dx ← wᵀ t = K y."""
-    D = state.size[0]
-    w, t, dx = state.w, state.t, state.dx[:D]
-    for c in range(D):
-        dx[c] = 0.0
-    for r in range(rows):
-        factor, row = t[r], w[r][:D]
-        for c in range(D):
-            dx[c] += factor * row[c]
+                out[i] = a * p0[i] + b * p1[i] + c * p2[i] + d * l0[i] + e * l1[i]
+            for q in range(r):
+                factor, other = L[r, q], g[q][:C]
+                for i in range(C):
+                    out[i] -= factor * other[i]
+            inverse, t = 1.0 / L[r, r], state.t[r]
+            for i in range(C):
+                out[i] *= inverse
+                theta[i] += t * out[i]
+    for r in range(0, n * k, 2):
+        # An odd last row goes with a row of zeros.
+        last = r + 1 == n * k
+        w0, w1 = state.w[r], state.dx if last else state.w[r + 1]
+        g0, g1 = g[r], state.gathered[0] if last else g[r + 1]
+        if last:
+            for i in range(D):
+                w1[i] = 0.0
+            for i in range(C):
+                g1[i] = 0.0
+        whole = D - D % 4
+        for i in range(0, whole, 4):
+            subtract_four_rows(Phi, i, w0, w1, g0, g1, C)
+        for i in range(whole, D):
+            subtract_row(Phi, i, w0, w1, g0, g1, C)
+        subtract_pair(Psi, C, g0, g1)
 
 
 @compiled("void(state, index)")
@@ -293,7 +408,7 @@ def augment(state: Any, slot: int) -> None:
     The block is written from the new rows, never by a column assignment that would overwrite it.
     """
     cov, G, block, Phi, size = state.cov, state.G_pose, state.block, state.Phi, state.size
-    D = size[0]
+    D = size[ACTIVE]
     gather(state, 0, 3)
     p0, p1, p2 = state.gathered[0][:D], state.gathered[1][:D], state.gathered[2][:D]
     for r in range(2):
@@ -303,12 +418,12 @@ def augment(state: Any, slot: int) -> None:
             row[i] = a * p0[i] + b * p1[i] + c * p2[i]
         for q in range(r + 1):
             cov[slot + r, slot + q] = row[0] * G[q, 0] + row[1] * G[q, 1] + row[2] * G[q, 2] + block[r, q]
-        for j in range(size[5]):
+        for j in range(size[COLUMNS]):
             Phi[slot + r, j] = a * Phi[0, j] + b * Phi[1, j] + c * Phi[2, j]
-        state.owner[slot + r] = size[6]
-        state.local[size[6]] = slot + r
-        size[6] += 1
-    size[0] = D + 2
+        state.owner[slot + r] = size[WHOLE]
+        state.local[size[WHOLE]] = slot + r
+        size[WHOLE] += 1
+    size[ACTIVE] = D + 2
 
 
 @compiled("void(state)")
@@ -318,7 +433,7 @@ def shear(state: Any) -> None:
     It takes a covariance whose lever arms are taken at ``state.points`` to the current mean. The heading is entry 2.
     """
     cov, mean, points, e, g = state.cov, state.mean, state.points, state.gathered[3], state.gathered[4]
-    D = state.size[0]
+    D = state.size[ACTIVE]
     moved = False
     for i in range(D):
         if i != 2 and mean[i] != points[i]:
@@ -345,7 +460,7 @@ def shear(state: Any) -> None:
 
 
 @compiled("index(index, index)")
-def place(i: int, j: int) -> int:
+def place(i: int, j: int) -> Any:
     """Where entry (i, j), i ≥ j, of the packed triangle stands."""
     p = i // PANEL
     return PANEL * (p + 1) * (i - PANEL // 2 * p) + j
@@ -356,35 +471,36 @@ def resting_row(state: Any, index: int, out: Any) -> None:
     """out ← P⁰[A₀, index], as the last flush leaves it even where it is not yet written."""
     columns, store, V, U = state.columns, state.store, state.V, state.U
     pending = V.shape[1]
-    for c in range(state.size[5]):
+    for c in range(state.size[COLUMNS]):
         i, j = max(columns[c], index), min(columns[c], index)
         total = store[place(i, j)]
-        if i >= state.size[7]:
+        if i >= state.size[CORRECTED]:
             for r in range(pending):
                 total -= V[i, r] * U[j, r]
         out[c] = total
 
 
 @compiled("index(state, index)")
-def activate(state: Any, slot: int) -> int:
+def activate(state: Any, slot: int) -> Any:
     """Make the landmark that rests at `slot` of the map active: O(A²); its slot among the active.
 
     With c = P⁰[A₀, j]: P_jA = cᵀΦᵀ, P_jj = P⁰_jj - cᵀΨc, x_j = x⁰_j + cᵀϑ, Φ ← [[Φ, 0], [-cᵀΨ, I]].
     """
-    size, cov, Phi, Psi, theta, g = state.size, state.cov, state.Phi, state.Psi, state.theta, state.g
-    D, C = size[0], size[5]
+    size, cov, Phi, Psi, theta, g = state.size, state.cov, state.Phi, state.minus_Psi, state.theta, state.g
+    D, C = size[ACTIVE], size[COLUMNS]
     column, product = state.gathered[3][:C], state.gathered[4][:C]
     for r in range(2):
         index, new = slot + r, D + r
         # The second coordinate comes after the first, whose column is as yet that of the identity.
         resting_row(state, index, column)
         for i in range(C):
-            total = 0.0
-            for j in range(i + 1):
-                total += Psi[i, j] * column[j]
-            for j in range(i + 1, C):
-                total += Psi[j, i] * column[j]
-            product[i] = total
+            product[i] = 0.0
+        for i in range(C):
+            row, x, total = Psi[i], column[i], 0.0
+            for j in range(i):
+                total += row[j] * column[j]
+                product[j] += row[j] * x
+            product[i] += total + row[i] * x
         state.mean[new] = state.rest[index]
         for i in range(C):
             state.mean[new] += column[i] * theta[i]
@@ -394,19 +510,19 @@ def activate(state: Any, slot: int) -> int:
             for j in range(C):
                 total += row[j] * column[j]
             cov[new, i] = total
-        # P⁰[j, j] and, for the second coordinate, P⁰[j + 1, j]: both as corrected since the flush.
+        # P_jj, and for the second coordinate the entry beside it too; `product` is -Ψc, for -Ψ is what is kept.
         for q in range(r + 1):
             i, j = index, slot + q
             total = state.store[place(i, j)]
-            if i >= size[7]:
+            if i >= size[CORRECTED]:
                 for p in range(state.V.shape[1]):
                     total -= state.V[i, p] * state.U[j, p]
             other = column if q == r else state.dx[:C]
             for p in range(C):
-                total -= product[p] * other[p]
+                total += product[p] * other[p]
             cov[new, D + q] = total
         for j in range(C):
-            Phi[new, j] = -product[j]
+            Phi[new, j] = product[j]
         if r == 0:
             state.dx[:C] = column
     for r in range(2):
@@ -420,7 +536,7 @@ def activate(state: Any, slot: int) -> int:
             g[q, at] = 0.0
         state.columns[at], state.owner[new], state.local[slot + r] = slot + r, slot + r, new
     Phi[D, C], Phi[D + 1, C + 1] = 1.0, 1.0
-    size[0], size[5] = D + 2, C + 2
+    size[ACTIVE], size[COLUMNS] = D + 2, C + 2
     return D
 
 
@@ -445,7 +561,7 @@ def collect(state: Any, V: Any) -> None:
 def deposit(state: Any, X: Any) -> None:
     """Write P_bA = X (whole, D) and P_AA into the store; the rows of A in X are not read."""
     owner, local, store, cov = state.owner, state.local, state.store, state.cov
-    D = state.size[0]
+    D = state.size[ACTIVE]
     for i in range(X.shape[0]):
         row, start = X[i], place(i, 0)
         if local[i] < 0:
@@ -495,3 +611,51 @@ def squeeze(store: Any, slot: int, n: int) -> None:
             store[target + j] = store[source + j]
         for j in range(slot + 2, i + 1):
             store[target + j - 2] = store[source + j]
+
+
+# -- a small belief before a step -------------------------------------------------------------------------------------
+
+
+@compiled("void(state)")
+def save(state: Any) -> None:
+    """Keep a small belief, nothing of which rests, and its last update, of at most two rows."""
+    saved, size = state.saved, state.size
+    for i in range(6):
+        saved[i] = state.memory[i]
+    at = 6
+    for i in range(size[ACTIVE]):
+        row, out = state.cov[i][: i + 1], saved[at : at + i + 5]
+        out[0], out[1], out[2], out[3] = state.mean[i], state.points[i], state.w[0, i], state.w[1, i]
+        for j in range(i + 1):
+            out[j + 4] = row[j]
+        at += i + 5
+    for r in range(2):
+        out = saved[at : at + 7]
+        out[0], out[1], out[2] = state.z[r], state.y[r], state.t[r]
+        out[3], out[4] = state.S[r, 0], state.S[r, 1]
+        out[5], out[6] = state.L[r, 0], state.L[r, 1]
+        at += 7
+
+
+@compiled("void(state, index)")
+def undo(state: Any, D: int) -> None:
+    """Bring back what `save` has kept of a belief of D dimensions."""
+    saved, size = state.saved, state.size
+    for i in range(6):
+        state.memory[i] = saved[i]
+    at = 6
+    for i in range(D):
+        row, out = state.cov[i][: i + 1], saved[at : at + i + 5]
+        state.mean[i], state.points[i], state.w[0, i], state.w[1, i] = out[0], out[1], out[2], out[3]
+        for j in range(i + 1):
+            row[j] = out[j + 4]
+        at += i + 5
+    for r in range(2):
+        out = saved[at : at + 7]
+        state.z[r], state.y[r], state.t[r] = out[0], out[1], out[2]
+        state.S[r, 0], state.S[r, 1] = out[3], out[4]
+        state.L[r, 0], state.L[r, 1] = out[5], out[6]
+        at += 7
+    for i in range(D, size[ACTIVE]):
+        state.local[i] = -1
+    size[ACTIVE] = size[WHOLE] = D

@@ -84,13 +84,18 @@ class MotionFunctions(NamedTuple):
 
 
 class SensorFunctions(NamedTuple):
-    """A sensor model as functions that write into their last arguments, ready to be compiled."""
+    """A sensor model as functions that write into their last arguments, ready to be compiled.
+
+    The last may be missing: it does at one blow, and so faster, what `predict`, `residual` and `jacobians` do.
+    """
 
     predict: Callable[..., None]  #: (pose, landmark, params, out (k,))
     jacobians: Callable[..., None]  #: (pose, landmark, params, H_pose (k, 3), H_landmark (k, 2))
     residual: Callable[..., None]  #: (z, z_hat, params, out (k,))
     invert: Callable[..., None]  #: (pose, z, params, out (2,))
     inverse_jacobians: Callable[..., None]  #: (pose, z, params, G_pose (2, 3), G_z (2, k))
+    #: (pose, landmark, z, params, z_hat (k,), residual (k,), H_pose (k, 3), H_landmark (k, 2))
+    sight: Callable[..., None] | None = None
 
 
 class LandmarkFilter(Protocol):

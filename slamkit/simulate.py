@@ -15,7 +15,7 @@ from slamkit.errors import InputError, ModelError
 from slamkit.logs import Log, Truth
 from slamkit.models import EulerUnicycle, RangeBearing, RelativePosition, Unicycle
 from slamkit.protocols import MotionModel, SensorModel
-from slamkit.se2 import wrap
+from slamkit.se2 import wrap, wrap_angle
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -177,7 +177,7 @@ def _drive(
         driven, logged[k] = (u, u - w) if world.odometry else (u + w, u)
         slip = pose_root(motion.pose_noise(poses[k], u, dt)) @ pose_draws[k]
         poses[k + 1] = motion.move(poses[k], driven, dt) + slip
-        poses[k + 1, 2] = wrap(poses[k + 1, 2])
+        poses[k + 1, 2] = wrap_angle(poses[k + 1, 2])
     return poses, logged
 
 
@@ -188,20 +188,22 @@ def _look(
     sensor, landmarks = world.sensor, np.array(list(world.landmarks.values())).reshape(-1, 2)
     root = _RootOf("R", len(sensor.R))(sensor.R)
     zero = np.zeros(len(root))
-    for step, pose in enumerate(poses):
-        draws = measurement.standard_normal((len(landmarks), len(root)))
-        detected = detection.random(len(landmarks)) < world.detection_probability
-        dx, dy = landmarks[:, 0] - pose[0], landmarks[:, 1] - pose[1]
+    together = max(1, 10**6 // max(1, landmarks.size))  # steps; the noise of all landmarks is drawn at every step
+    for first in range(0, len(poses), together):
+        part = poses[first : first + together]
+        draws = measurement.standard_normal((len(part), len(landmarks), len(root)))
+        detected = detection.random((len(part), len(landmarks))) < world.detection_probability
+        dx, dy = landmarks[:, 0] - part[:, :1], landmarks[:, 1] - part[:, 1:2]
         distance = np.hypot(dx, dy)
         in_sight = detected & (distance >= world.min_range) & (distance <= world.max_range)
         if world.field_of_view < 2 * pi:
-            in_sight &= np.abs(wrap(np.arctan2(dy, dx) - pose[2])) <= world.field_of_view / 2
-        for row in np.flatnonzero(in_sight):
-            z = sensor.predict(pose, landmarks[row]) + root @ draws[row]
+            in_sight &= np.abs(wrap(np.arctan2(dy, dx) - part[:, 2:])) <= world.field_of_view / 2
+        for step, row in np.argwhere(in_sight).tolist():
+            z = sensor.predict(part[step], landmarks[row]) + root @ draws[step, row]
             # The residual to zero is z with its angles wrapped, and NaN where no sensor could have given z.
             z = sensor.residual(z, zero)
             if np.all(np.isfinite(z)):
-                yield step, int(row), z
+                yield first + step, row, z
 
 
 class _RootOf:
@@ -210,10 +212,12 @@ class _RootOf:
     def __init__(self, name: str, size: int) -> None:
         self.name, self.size = name, size
         self.covariance = self.root = np.empty((0, 0))
+        self.known: bytes | None = None  # the covariance as it was given: bytes compare faster than arrays
 
     def __call__(self, covariance: Array) -> Array:
-        if not np.array_equal(covariance, self.covariance):
-            self.covariance = np.array(covariance, dtype=float)
+        covariance = np.asarray(covariance)
+        if covariance.tobytes() != self.known:
+            self.covariance, self.known = np.array(covariance, dtype=float), covariance.tobytes()
             if self.covariance.shape != (self.size, self.size):
                 raise ModelError(f"{self.name} has shape {self.covariance.shape}, expected ({self.size}, {self.size})")
             try:

@@ -18,7 +18,13 @@ from pathlib import Path
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled"]
+#: Entries of ``State.size``: D of what is active; rows of the last update and D of what was active then (-1 once that
+#: has rested); the failing sighting and the status of the last step; columns C of Φ, D of the whole map, first row of
+#: the store that a flush has yet to correct; D of the whole map at the last update; sightings since the step began that
+#: gave no finite numbers.
+ACTIVE, ROWS, ACTIVE_THEN, FAILING, STATUS, COLUMNS, WHOLE, CORRECTED, WHOLE_THEN, ODD = range(10)
+
+__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics", "models_of"]
 
 
 class Compiled:
@@ -50,19 +56,35 @@ class Compiled:
         return copy
 
     @cached_property
-    def dispatcher(self) -> Any:
-        """Numba's dispatcher, compiled now or read from the cache."""
-        structures = load_structures()
+    def jitted(self) -> Any:
+        """Numba's dispatcher, which compiles, or reads its cache, once another function is compiled that calls it.
+
+        A function that is read from the cache holds the code of all that it calls, so those need not be read.
+        """
+        load_structures()
         import numba
 
-        function = self._over(lambda c: c.dispatcher)
         # contract lets a·b + c be one instruction; no other rule of floating-point arithmetic is relaxed.
         with cache_folder():
             jit = numba.njit(cache=True, fastmath={"contract"}, error_model="numpy", nogil=True)
-            dispatcher = jit(function)
-            dispatcher.compile(eval(self.signature, dict(structures.WORDS)))
-        dispatcher.disable_compile()
-        return dispatcher
+            jitted = jit(self._over(lambda c: c.jitted))
+        resolve = jitted.get_call_template
+
+        def compiled_first(args: Any, kws: Any) -> Any:
+            """With its one signature compiled, a call casts its arguments to it instead of compiling for others."""
+            assert self.dispatcher is jitted
+            return resolve(args, kws)
+
+        jitted.get_call_template = compiled_first
+        return jitted
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """The same, compiled now or read from the cache."""
+        with cache_folder():
+            self.jitted.compile(eval(self.signature, dict(load_structures().WORDS)))
+        self.jitted.disable_compile()
+        return self.jitted
 
     @cached_property
     def plain(self) -> Callable[..., Any]:
@@ -70,10 +92,31 @@ class Compiled:
         return self._over(lambda c: c.plain if c.generic else c)
 
     def __call__(self, *args: Any) -> Any:
-        return self.dispatcher(*[a.handle if isinstance(a, Shared) else a for a in args])
+        return self.dispatcher(*args)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _find, (self.function.__module__, self.function.__qualname__)
+
+
+class Intrinsic(Compiled):
+    """A function of a module that imports Numba, by name, for compiled functions to call."""
+
+    def __init__(self, module: str, name: str) -> None:
+        self.__module__, self.__name__, self.generic = module, name, False
+
+    @cached_property
+    def jitted(self) -> Any:
+        """What Numba puts in the place of a call."""
+        load_structures()
+        return getattr(importlib.import_module(self.__module__), self.__name__)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Intrinsic, (self.__module__, self.__name__)
+
+
+def intrinsics(module: str, *names: str) -> list[Intrinsic]:
+    """Functions of a module of this package that is not to be imported before the first call."""
+    return [Intrinsic(f"{__name__}.{module}", name) for name in names]
 
 
 def _find(module: str, name: str) -> Any:
@@ -104,7 +147,8 @@ class Shared:
         self.__dict__.update(fields)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {n: v for n, v in self.__dict__.items() if n not in ("handle", "plain")}
+        derived = ("handle", "plain", "address", "_numba_type_")
+        return {n: v for n, v in self.__dict__.items() if n not in derived}
 
     def replace(self, **fields: Any) -> None:
         """Let fields be these from now on."""
@@ -114,8 +158,17 @@ class Shared:
             self.handle.put(**fields)
 
     @cached_property
+    def _numba_type_(self) -> Any:
+        return self.handle.table
+
+    @cached_property
+    def address(self) -> int:
+        """Where the table is that compiled functions take."""
+        return int(self.handle.address)
+
+    @cached_property
     def handle(self) -> Any:
-        """The structure that compiled functions take."""
+        """The table, which holds on to what it points to."""
         return load_structures().Handle(self.kind, **{n: getattr(v, "dispatcher", v) for n, v in self.fields.items()})
 
 
@@ -141,6 +194,33 @@ class Models(Shared):
     def __init__(self, *, compiled: bool, **fields: Any) -> None:
         super().__init__(**fields)
         self.compiled = compiled
+
+
+@compiled("void(vector, vector, vector, vector, vector, vector, matrix, matrix)")
+def no_sight(pose: Any, landmark: Any, z: Any, params: Any, z_hat: Any, y: Any, H_pose: Any, H_landmark: Any) -> None:
+    """Stands where a sensor model offers no function for this; it is never called."""
+
+
+def models_of(motion: Any, sensor: Any, motion_params: Any, sensor_params: Any, R: Any, *, compiled: bool) -> Models:
+    """The models whose functions are these MotionFunctions and SensorFunctions of `slamkit.protocols`."""
+    sight = getattr(sensor, "sight", None)
+    return Models(
+        compiled=compiled,
+        move=motion.move,
+        motion_jacobians=motion.jacobians,
+        control_noise=motion.control_noise,
+        pose_noise=motion.pose_noise,
+        predict=sensor.predict,
+        sensor_jacobians=sensor.jacobians,
+        residual=sensor.residual,
+        invert=sensor.invert,
+        inverse_jacobians=sensor.inverse_jacobians,
+        sight=sight or no_sight,
+        fused=sight is not None,
+        motion_params=motion_params,
+        sensor_params=sensor_params,
+        R=R,
+    )
 
 
 class Policy(Shared):

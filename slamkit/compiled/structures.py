@@ -10,6 +10,7 @@ That matters three times: a call with two dozen arrays would cost microseconds, 
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from numba.core.datamodel import models as data_models
 from numba.core.datamodel import register_default
 from numba.core.imputils import lower_getattr_generic
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
-from numba.extending import NativeValue, unbox
+from numba.extending import NativeValue, intrinsic, unbox
 from numba.np.arrayobj import populate_array
 
 void, real, index, flag = types.void, types.float64, types.int64, types.boolean
@@ -43,8 +44,13 @@ class TableType(types.Type):
 
     def first_word(self, field: str) -> int:
         """Where a field begins."""
-        names = list(self.fields)
-        return sum(words(self.fields[n]) for n in names[: names.index(field)])
+        return _first_words(self.name)[field]
+
+
+@cache
+def _first_words(table: str) -> dict[str, int]:
+    sizes = [words(field) for field in FIELDS[table].values()]
+    return dict(zip(FIELDS[table], np.cumsum([0, *sizes]).tolist(), strict=False))
 
 
 def words(field: Any) -> int:
@@ -53,7 +59,7 @@ def words(field: Any) -> int:
 
 
 @register_default(TableType)
-class TableModel(data_models.PrimitiveModel):  # type: ignore[name-defined]
+class TableModel(data_models.PrimitiveModel):
     """A table is an address."""
 
     def __init__(self, manager: Any, table: TableType) -> None:
@@ -95,10 +101,18 @@ def load_field(context: Any, builder: Any, table: TableType, address: Any, field
     return builder.trunc(loaded[0], ir.IntType(1)) if kind is flag else loaded[0]
 
 
+def _table_at(table: TableType) -> Any:
+    @intrinsic
+    def at(typing: Any, address: Any) -> Any:
+        return table(types.int64), lambda context, builder, signature, arguments: arguments[0]
+
+    return at
+
+
 @unbox(TableType)
-def unbox_table(table: TableType, handle: Any, c: Any) -> Any:
-    """The address that a handle holds."""
-    address = c.pyapi.object_getattr_string(handle, "address")
+def unbox_table(table: TableType, shared: Any, c: Any) -> Any:
+    """The address that an object of Python names."""
+    address = c.pyapi.object_getattr_string(shared, "address")
     value = c.pyapi.long_as_longlong(address)
     c.pyapi.decref(address)
     return NativeValue(value, is_error=cgutils.is_not_null(c.builder, c.pyapi.err_occurred()))
@@ -115,7 +129,7 @@ class Handle:
     """
 
     def __init__(self, kind: str, **fields: Any) -> None:
-        table = self._numba_type_ = WORDS[kind]
+        table = self.table = WORDS[kind]
         self.fields: dict[str, Any] = {}
         self.row = np.zeros(sum(words(field) for field in table.fields.values()), dtype=np.int64)
         self.address = self.row.ctypes.data
@@ -123,7 +137,7 @@ class Handle:
 
     def put(self, **fields: Any) -> None:
         """Let fields be these from now on."""
-        table = self._numba_type_
+        table = self.table
         self.fields.update(fields)
         for name, value in fields.items():
             row = _words_of(name, table.fields[name], value)
@@ -156,12 +170,10 @@ STATE_FIELDS = {
     "cov": matrix,  # (capacity, capacity) lower triangle, likewise
     "points": vector,  # (capacity,) where the lever arms of the Jacobians are taken, if not at the mean
     "memory": vector,  # (6,) a variant's own few numbers
-    # (9,) D of what is active; rows of the last update, D at that time; failing sighting, status; C, D of the whole map,
-    # first row of the store that a flush has yet to correct; D of the whole map at the last update
-    "size": integers,
+    "size": integers,  # (10,) see ACTIVE and what follows it in `slamkit.compiled`
     "work": vector,  # (5,) what decides when to flush, see `slamkit.filters.steps.upkeep`
     "Phi": matrix,  # (capacity, columns) Φ, see `slamkit.kernels`
-    "Psi": matrix,  # (columns, columns) lower triangle of Ψ
+    "minus_Psi": matrix,  # (columns, columns) lower triangle of -Ψ
     "theta": vector,  # (columns,) ϑ
     "g": matrix,  # (rows, columns) L⁻¹ H Φ
     "columns": integers,  # (columns,) A₀ as coordinates of the whole map
@@ -184,6 +196,7 @@ STATE_FIELDS = {
     "nis": vector,  # (n,)
     "truth": matrix,  # (n, 2) true positions of the scan's landmarks, where a filter is told them
     "accepted": flags,  # (n,)
+    "saved": vector,  # mean, points, memory and covariance before a small step
     "z": vector,  # (rows,) their measurements, one after the other
     "z_hat": vector,  # (k,) one predicted measurement
     "y": vector,  # (rows,) innovation
@@ -211,6 +224,8 @@ MODELS_FIELDS = {
     "residual": function(vector, vector, vector, vector),
     "invert": function(vector, vector, vector, vector),
     "inverse_jacobians": function(vector, vector, vector, matrix, matrix),
+    "sight": function(vector, vector, vector, vector, vector, vector, matrix, matrix),
+    "fused": flag,  # whether `sight` is the model's own, else it means nothing
     "motion_params": vector,
     "sensor_params": vector,
     "R": matrix,
@@ -227,6 +242,8 @@ POLICY_FIELDS = {
     "batch": flag,
 }
 FIELDS = {state.name: STATE_FIELDS, models.name: MODELS_FIELDS, policy.name: POLICY_FIELDS}
+#: Address → table. An integer costs a call a tenth of what an object does, whose type Numba has to ask for.
+as_state, as_models, as_policy = _table_at(state), _table_at(models), _table_at(policy)
 WORDS = {
     "void": void, "real": real, "index": index, "flag": flag, "vector": vector, "matrix": matrix, "cube": cube,
     "integers": integers, "flags": flags, "state": state, "models": models, "policy": policy,

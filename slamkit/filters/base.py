@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 from slamkit.belief import BLOCK, Belief, Storage
-from slamkit.compiled import Compiled, Models, Policy, call
+from slamkit.compiled import FAILING, ROWS, STATUS, Compiled, Models, Policy, call, models_of
 from slamkit.errors import DivergenceError, InputError, LogFileError, ModelError, SlamkitError, UnsupportedError
 from slamkit.filters import standard, steps
 from slamkit.logs import History, Log, Scan, Schedule, decode_id, encode_id, read_archive, reading, write_archive
@@ -219,7 +219,7 @@ class LandmarkFilter:
                     # A call is to take a while, but an interrupt is to be heard and progress to be seen.
                     stretch = 2 * stretch if time.perf_counter() - begun < LONG_CALL else max(1, stretch // 2)
                 self._name(log.landmark_ids, slot_of)
-                status = int(self._belief.state.size[4])
+                status = int(self._belief.state.size[STATUS])
                 if status == steps.DUE:
                     self._belief.tend()
                 elif status == steps.FULL:
@@ -315,7 +315,7 @@ class LandmarkFilter:
         The same numbers as filterpy's dense update, at O(r D²) instead of O(D³).
         """
         if z is None:
-            self._belief.state.size[1] = 0
+            self._belief.state.size[ROWS] = 0
             return
         x = self.x
         measured = np.atleast_1d(np.asarray(z, dtype=float))
@@ -390,6 +390,13 @@ class LandmarkFilter:
         """Mean (N, 2) and covariance (N, 2, 2) of every landmark by itself, in standard coordinates."""
         self._settle()
         return self._belief.marginals()
+
+    def flush(self) -> None:
+        """Bring the covariance of what is not in sight up to date, in place; reading `P` does it too.
+
+        Nothing needs it: it is for a moment when there is time. On a small map there is nothing to do.
+        """
+        self._belief.flush()
 
     def _settle(self) -> None:
         """Bring the covariance to standard coordinates at the current mean."""
@@ -479,7 +486,7 @@ class LandmarkFilter:
 
     @property
     def _rows(self) -> int:
-        return int(self._belief.state.size[1])
+        return int(self._belief.state.size[ROWS])
 
     @property
     def z(self) -> Array:
@@ -604,14 +611,14 @@ class LandmarkFilter:
         if len(set(ids)) != len(ids):
             twice = next(i for n, i in enumerate(ids) if i in ids[:n])
             raise InputError(f"landmark {twice!r} occurs twice in one scan")
-        new = found.count(-1)
-        belief.reserve(new, len(found))
+        if len(found) > len(belief.state.nis):
+            belief.reserve(0, len(found))
         slots = np.array(found, dtype=np.int64)
-        status = self._guarded(steps.step, u, dt, slots, z)
+        status = self._take_step(u, dt, slots, z)
         if status == steps.FULL:
             belief.widen(len(found))
-            status = self._guarded(steps.step, u, dt, slots, z)
-        if new and status in (steps.OK, steps.DUE, steps.NOT_DEFINITE):
+            status = self._take_step(u, dt, slots, z)
+        if -1 in found and status in (steps.OK, steps.DUE, steps.NOT_DEFINITE):
             for i, before, slot in zip(ids, found, slots.tolist(), strict=True):
                 if before < 0 <= slot:
                     belief.register(i, slot)
@@ -619,6 +626,12 @@ class LandmarkFilter:
             belief.tend()
         elif status != steps.OK:
             raise self._failure(u, ids, z, "")
+
+    def _take_step(self, u: Array, dt: float, slots: NDArray[np.int64], z: Array) -> int:
+        policy, models, state = self._policy, self._models, self._belief.state
+        if models.compiled:
+            return steps.step_at(policy.address, models.address, state.address, u, dt, slots, z)  # type: ignore[no-any-return]
+        return self._guarded(steps.step, u, dt, slots, z)
 
     def _guarded(self, step: Compiled, *arguments: Any) -> int:
         """Run a step; a model in Python that raises in the middle of it leaves the belief as it was."""
@@ -649,7 +662,7 @@ class LandmarkFilter:
         if not (np.all(np.isfinite(state.pose)) and np.all(np.isfinite(state.F)) and np.all(np.isfinite(state.Q))):
             name = type(self.motion).__name__
             return ModelError(f"{name} gave a pose, F or Q that is not finite for u = {u} at pose {pose}{where}")
-        n = int(state.size[3])
+        n = int(state.size[FAILING])
         if n < len(ids):
             i, name = ids[n], type(self.sensor).__name__
             if i in self._belief.slots:
@@ -789,21 +802,10 @@ def _adapt(motion: MotionModel, sensor: SensorModel, R: Array) -> Models:
             _filling(sensor, "predict"), _filling(sensor, "jacobians"), _filling(sensor, "residual"),
             _filling(sensor, "invert"), _filling(sensor, "inverse_jacobians"),
         )  # fmt: skip
-    return Models(
-        compiled=both,
-        move=motion_functions.move,
-        motion_jacobians=motion_functions.jacobians,
-        control_noise=motion_functions.control_noise,
-        pose_noise=motion_functions.pose_noise,
-        predict=sensor_functions.predict,
-        sensor_jacobians=sensor_functions.jacobians,
-        residual=sensor_functions.residual,
-        invert=sensor_functions.invert,
-        inverse_jacobians=sensor_functions.inverse_jacobians,
-        motion_params=np.ascontiguousarray(getattr(motion, "params", np.empty(0)), dtype=float),
-        sensor_params=np.ascontiguousarray(getattr(sensor, "params", np.empty(0)), dtype=float),
-        R=np.ascontiguousarray(R),
+    moving, seeing = (
+        np.ascontiguousarray(getattr(model, "params", np.empty(0)), dtype=float) for model in (motion, sensor)
     )
+    return models_of(motion_functions, sensor_functions, moving, seeing, np.ascontiguousarray(R), compiled=both)
 
 
 _OUTPUTS = {"jacobians": 2, "inverse_jacobians": 2}

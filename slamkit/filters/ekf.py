@@ -26,6 +26,9 @@ class EKFSLAM(LandmarkFilter, ExtendedKalmanFilter):  # type: ignore[misc, overr
         Largest NIS yᵀS⁻¹y that is accepted; None accepts every sighting.
     snapshots : bool
         True keeps x_prior, P_prior, x_post and P_post as filterpy does, at the cost of two copies of P a step.
+    storage : Storage, optional
+        From how many landmarks on the covariance is kept compressed, how a flush is spread over steps, how much memory
+        it may take. The defaults fit; no choice changes an answer by more than rounding.
 
     Attributes
     ----------
@@ -43,12 +46,17 @@ class EKFSLAM(LandmarkFilter, ExtendedKalmanFilter):  # type: ignore[misc, overr
 
     Notes
     -----
-    A prediction costs O(D), a sighting O(D²/2) multiply-adds a row, and nothing allocates a D × D matrix. The
-    standard EKF claims too small a covariance for the heading, which nothing measures: see the consistent variants.
+    On a small map a prediction costs O(D) and a sighting O(D²). On a large one a step costs O(A²), where A is the
+    dimension of what has been in sight since the last flush, and a flush, now and then, O(A D²) in BLAS: exact, for
+    what is not in sight enters no measurement. Reading `P`, `F`, `Q` or `K` forms it; P flushes. Everything else is
+    read without a flush. The standard EKF claims too small a covariance for the heading, which nothing measures: see
+    the consistent variants.
 
     References
     ----------
     Smith, Self & Cheeseman, Estimating uncertain spatial relationships in robotics (1990);
+    Guivant & Nebot, Optimization of the simultaneous localization and map-building algorithm for real-time
+    implementation, IEEE TRA 17(3):242-257 (2001), for the compressed form;
     Thrun, Burgard & Fox, Probabilistic Robotics (2005), table 10.1.
 
     Examples

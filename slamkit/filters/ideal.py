@@ -138,8 +138,7 @@ class IdealEKFSLAM(EKFSLAM):
     def _advance(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
         if self.truth is None:
             self._learn(None)
-        # Room for new landmarks too, or the base class lays the arrays out anew after the truth is written.
-        self._belief.reserve(len(ids), len(ids))
+        self._belief.reserve(0, len(ids))
         state = self._belief.state
         state.memory[:3] = self._true_pose(self.time + dt)
         state.truth[: len(ids)] = self._true_landmarks(ids)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit.compiled import compiled
+from slamkit.compiled import ACTIVE, compiled
 from slamkit.filters import first_estimates
 from slamkit.filters.base import PolicyFunctions
 from slamkit.filters.ekf import EKFSLAM
@@ -35,7 +35,7 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 def retract(state: Any) -> None:
     """X ← exp(ξ) X̂: rotate and move the robot and every landmark."""
     mean, points, dx = state.mean, state.points, state.dx
-    D = state.size[0]
+    D = state.size[ACTIVE]
     a = dx[2]
     c, s = cos(a), sin(a)
     if abs(a) < 1e-4:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slamkit.compiled import compiled
+from slamkit.compiled import ACTIVE, ROWS, compiled
 from slamkit.filters.base import PolicyFunctions
 from slamkit.filters.ekf import EKFSLAM
 from slamkit.filters.standard import motion_noise
@@ -69,9 +69,9 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 @compiled("void(state)")
 def retract(state: Any) -> None:
     """x ← x + dx in this frame, and w, which is only read from now on, ← w Wᵀ: the gain in world coordinates."""
-    mean, dx, D = state.mean, state.dx, state.size[0]
+    mean, dx, D = state.mean, state.dx, state.size[ACTIVE]
     c, s = cos(state.memory[4] - mean[5]), sin(state.memory[4] - mean[5])
-    for q in range(state.size[1]):
+    for q in range(state.size[ROWS]):
         row = state.w[q]
         for i in range(2, D // 2):
             k = 0 if i == 2 else 2 * i
@@ -93,7 +93,7 @@ def compose(state: Any) -> None:
     l' = C(r)ᵀ(l - p_r), B' = r⁻¹ ∘ B; P' = A P Aᵀ with the rows C(r)ᵀ[-I, -J(l - p_r), I] of A: what r says is
     subtracted first, then the axes are turned.
     """
-    cov, mean, D = state.cov, state.mean, state.size[0]
+    cov, mean, D = state.cov, state.mean, state.size[ACTIVE]
     c, s = cos(mean[2]), sin(mean[2])
     # Row i of A before the turn is e_i - (a_i, b_i, lever_i) on r.
     gather(state, 0, 3)

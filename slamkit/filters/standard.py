@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from slamkit.compiled import compiled
+from slamkit.compiled import ACTIVE, compiled
 from slamkit.se2 import wrap_angle
 
 
@@ -38,12 +38,18 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
     """Linearise the sensor at the given pose and landmark."""
     k = z.shape[0]
-    models.predict(pose, landmark, models.sensor_params, state.z_hat)
-    models.residual(z, state.z_hat, models.sensor_params, state.y[row : row + k])
-    models.sensor_jacobians(
-        pose, landmark, models.sensor_params, state.H_pose[row : row + k], state.H_landmark[row : row + k]
-    )
-    state.noise[row : row + k, :] = models.R
+    y, H_pose, H_landmark = state.y[row : row + k], state.H_pose[row : row + k], state.H_landmark[row : row + k]
+    params, z_hat = models.sensor_params, state.z_hat
+    if models.fused:
+        models.sight(pose, landmark, z, params, z_hat, y, H_pose, H_landmark)
+    else:
+        models.predict(pose, landmark, params, z_hat)
+        models.residual(z, z_hat, params, y)
+        models.sensor_jacobians(pose, landmark, params, H_pose, H_landmark)
+    R, noise = models.R, state.noise
+    for i in range(k):
+        for j in range(k):
+            noise[row + i, j] = R[i, j]
 
 
 @compiled("void(models, state, index, index, vector)", generic=True)
@@ -72,7 +78,7 @@ def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
 @compiled("void(state)")
 def retract(state: Any) -> None:
     """x ← x + dx, heading wrapped."""
-    D = state.size[0]
+    D = state.size[ACTIVE]
     mean, dx = state.mean[:D], state.dx[:D]
     for i in range(D):
         mean[i] += dx[i]

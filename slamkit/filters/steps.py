@@ -21,24 +21,38 @@ estimator stands in its policy:
 
 from __future__ import annotations
 
-from math import inf, nan
+from math import inf, isfinite, nan
 from typing import Any
 
 import numpy as np
 
-from slamkit.compiled import compiled
+from slamkit.compiled import (
+    ACTIVE,
+    ACTIVE_THEN,
+    COLUMNS,
+    FAILING,
+    ODD,
+    ROWS,
+    STATUS,
+    WHOLE,
+    WHOLE_THEN,
+    compiled,
+    intrinsics,
+)
 from slamkit.kernels import (
+    SMALL,
+    absorb,
     activate,
-    all_finite,
     augment,
     cholesky,
-    correction,
     downdate,
     forward,
     is_finite,
     project,
     propagate,
     record,
+    save,
+    undo,
     whiten,
 )
 
@@ -69,17 +83,24 @@ def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
     Those that did not (a landmark that an earlier sighting of the scan moved onto the robot) are refused.
     """
     k = models.R.shape[0]
+    slots, order, z, at, y, size = state.slots, state.order, state.z, state.at, state.y, state.size
+    H_pose, H_landmark = state.H_pose, state.H_landmark
     kept = 0
     for j in range(n):
-        rows = slice(kept * k, (kept + 1) * k)
-        state.slots[kept], state.order[kept] = state.slots[j], state.order[j]
-        if kept != j:
-            state.z[rows] = state.z[j * k : (j + 1) * k]
-            state.at[3 + 2 * kept : 5 + 2 * kept] = state.at[3 + 2 * j : 5 + 2 * j]
-        landmark = state.at[3 + 2 * kept : 5 + 2 * kept]
-        policy.sensor(models, state, state.at[:3], landmark, state.slots[kept], state.z[rows], kept * k)
-        if is_finite(state.y[rows]) and all_finite(state.H_pose[rows]) and all_finite(state.H_landmark[rows]):
+        slots[kept], order[kept] = slots[j], order[j]
+        at[3 + 2 * kept], at[4 + 2 * kept] = at[3 + 2 * j], at[4 + 2 * j]
+        first = kept * k
+        for r in range(k):
+            z[first + r] = z[j * k + r]
+        policy.sensor(models, state, at[:3], at[3 + 2 * kept : 5 + 2 * kept], slots[kept], z[first : first + k], first)
+        total = 0.0
+        for r in range(first, first + k):
+            # A sum is finite only if all of it is, or if it is so large that no filter can use it.
+            total += y[r] + H_pose[r, 0] + H_pose[r, 1] + H_pose[r, 2] + H_landmark[r, 0] + H_landmark[r, 1]
+        if isfinite(total):
             kept += 1
+        else:
+            size[ODD] += 1
     return kept
 
 
@@ -93,12 +114,15 @@ def screen(policy: Any, models: Any, state: Any, n: int) -> int:
         if not cholesky(state.S, state.L, j * k, k):
             return -1
         nis = forward(state.L, state.y, state.t, j * k, k)
-        state.innovations[place, :] = state.y[j * k : (j + 1) * k]
+        for r in range(k):
+            state.innovations[place, r] = state.y[j * k + r]
         state.nis[place] = nis
         if nis <= policy.gate:
             state.accepted[place] = True
             state.slots[kept], state.order[kept] = state.slots[j], state.order[j]
-            state.z[kept * k : (kept + 1) * k] = state.z[j * k : (j + 1) * k]
+            if kept < j:
+                for r in range(k):
+                    state.z[kept * k + r] = state.z[j * k + r]
             kept += 1
     return kept
 
@@ -106,10 +130,10 @@ def screen(policy: Any, models: Any, state: Any, n: int) -> int:
 @compiled("void(state, index)")
 def aim(state: Any, n: int) -> None:
     """Linearise at the mean."""
-    state.at[:3] = state.mean[:3]
+    at, mean, slots = state.at, state.mean, state.slots
+    at[0], at[1], at[2] = mean[0], mean[1], mean[2]
     for j in range(n):
-        slot = state.slots[j]
-        state.at[3 + 2 * j : 5 + 2 * j] = state.mean[slot : slot + 2]
+        at[3 + 2 * j], at[4 + 2 * j] = mean[slots[j]], mean[slots[j] + 1]
 
 
 @compiled("void(state, index, index)")
@@ -142,8 +166,21 @@ def advance(state: Any, n: int) -> float:
     return change
 
 
+@compiled("index(policy, state, index, index)", generic=True)
+def settle(policy: Any, state: Any, n: int, k: int) -> int:
+    """Carry out an update that is prepared."""
+    size = state.size
+    size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN] = n * k, size[ACTIVE], size[WHOLE]
+    downdate(state, n * k)
+    # The mean moves before dx is used otherwise.
+    policy.retract(state)
+    if size[COLUMNS] > 0:
+        record(state, n, k)
+    return OK
+
+
 @compiled("index(policy, models, state, index)", generic=True)
-def correct(policy: Any, models: Any, state: Any, n: int) -> int:
+def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
     """One update by the n sightings in ``state.slots`` and ``state.z``, stacked.
 
     With more than one iteration it is the iterated EKF: linearise at the last iterate until it stands still
@@ -153,9 +190,17 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> int:
     for j in range(n):
         place = state.order[j]
         state.accepted[place], state.nis[place] = False, inf
-        state.innovations[place, :] = nan
+        for r in range(k):
+            state.innovations[place, r] = nan
     aim(state, n)
     n = linearise(policy, models, state, n)
+    if n == 1 and k == 2 and policy.iterations == 1:
+        nis, place = absorb(state, policy.gate), state.order[0]
+        state.innovations[place, 0], state.innovations[place, 1], state.nis[place] = state.y[0], state.y[1], nis
+        if not nis <= policy.gate:
+            return OK
+        state.accepted[place] = True
+        return NOT_DEFINITE if nis < 0.0 else settle(policy, state, 1, 2)
     project(state, n, k)
     kept = screen(policy, models, state, n)
     if kept < 0:
@@ -168,32 +213,30 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> int:
         linearise(policy, models, state, n)
         project(state, n, k)
     rows = n * k
-    state.effective[:rows] = state.y[:rows]
+    for r in range(rows):
+        state.effective[r] = state.y[r]
     for iteration in range(policy.iterations):
-        if not cholesky(state.S, state.L, 0, rows):
-            return NOT_DEFINITE
-        forward(state.L, state.effective, state.t, 0, rows)
+        # Of a single sighting `screen` has the factor and t already.
+        if n > 1 or iteration > 0:
+            if not cholesky(state.S, state.L, 0, rows):
+                return NOT_DEFINITE
+            forward(state.L, state.effective, state.t, 0, rows)
         whiten(state, rows)
-        correction(state, rows)
         if iteration + 1 == policy.iterations or advance(state, n) < 1e-12:
             break
         linearise(policy, models, state, n)
         shift_innovation(state, n, k)
         project(state, n, k)
-    size = state.size
-    size[1], size[2], size[8] = rows, size[0], size[6]
-    downdate(state, rows)
-    if size[5] > 0:
-        record(state, n, k)
-    policy.retract(state)
-    return OK
+    return settle(policy, state, n, k)
 
 
 @compiled("index(policy, models, state, index, vector)", generic=True)
 def begin(policy: Any, models: Any, state: Any, place: int, z: Any) -> Any:
     """Start a landmark from its first sighting; its slot."""
-    slot = state.size[0]
+    slot = state.size[ACTIVE]
     policy.start(models, state, slot, place, z)
+    if not isfinite(state.mean[slot] + state.mean[slot + 1]):
+        state.size[ODD] += 1
     augment(state, slot)
     return slot
 
@@ -208,7 +251,9 @@ def take(policy: Any, models: Any, state: Any, slots: Any, z: Any, moved: bool) 
     policy.scan(models, state, slots, moved)
     for i in range(n):
         if slots[i] < 0:
-            state.innovations[i, :], state.nis[i], state.accepted[i] = nan, nan, True
+            state.nis[i], state.accepted[i] = nan, True
+            for r in range(k):
+                state.innovations[i, r] = nan
     if policy.batch:
         known = 0
         for i in range(n):
@@ -227,7 +272,8 @@ def take(policy: Any, models: Any, state: Any, slots: Any, z: Any, moved: bool) 
     for i in range(n):
         if slots[i] >= 0:
             state.slots[0], state.order[0] = slots[i], i
-            state.z[:k] = z[i]
+            for r in range(k):
+                state.z[r] = z[i, r]
             status = correct(policy, models, state, 1)
             if status != OK:
                 return status
@@ -246,9 +292,9 @@ def awaken(state: Any, slots: Any) -> bool:
             new += 2
         elif local[slot] < 0:
             resting += 2
-    if size[0] + new + resting > state.mean.shape[0] or size[6] + new > local.shape[0]:
+    if size[ACTIVE] + new + resting > state.mean.shape[0] or size[WHOLE] + new > local.shape[0]:
         return False
-    if resting > 0 and size[5] + resting > state.theta.shape[0]:
+    if resting > 0 and size[COLUMNS] + resting > state.theta.shape[0]:
         return False
     for i in range(slots.shape[0]):
         slot = slots[i]
@@ -275,14 +321,34 @@ def upkeep(state: Any, n: int) -> int:
     price; the columns at which a flush is due anyway; the dimension above which the belief is compressed.
     """
     size, work = state.size, state.work
-    C = size[5]
+    C = size[COLUMNS]
     if C == 0:
-        return DUE if size[6] > work[4] else OK
-    D, need, whole = float(size[0]), 3.0 + 2.0 * n, float(size[6])
+        return DUE if size[WHOLE] > work[4] else OK
+    D, need, whole = float(size[ACTIVE]), 3.0 + 2.0 * n, float(size[WHOLE])
     work[0] += n * max(0.0, D * D + 2.0 * D * C + C * C - 4.0 * need * need)
-    if state.V.shape[1] > 0 or work[0] > work[1] * need * whole * whole + work[2] or C > work[3]:
+    if state.V.shape[1] > 0 or work[0] > work[1] * need * whole * whole + work[2] or work[3] < C:
         return DUE
     return OK
+
+
+@compiled("flag(state)")
+def finite_motion(state: Any) -> bool:
+    """Whether a motion's pose, F and Q are finite; a sum is finite only if all of it is."""
+    pose, F, Q = state.pose, state.F, state.Q
+    total = pose[0] + pose[1] + pose[2]
+    for i in range(3):
+        total += F[i, 0] + F[i, 1] + F[i, 2] + Q[i, 0] + Q[i, 1] + Q[i, 2]
+    return isfinite(total)
+
+
+@compiled("index(policy, models, state, integers, matrix, real)", generic=True)
+def advance_and_take(policy: Any, models: Any, state: Any, slots: Any, z: Any, dt: float) -> Any:
+    """Carry out a prediction that is prepared, unless dt is 0, and take the scan."""
+    if dt > 0.0:
+        for i in range(3):
+            state.mean[i] = state.pose[i]
+        propagate(state)
+    return take(policy, models, state, slots, z, dt > 0.0)
 
 
 @compiled("index(policy, models, state, vector, real, integers, matrix)", generic=True)
@@ -295,22 +361,43 @@ def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z:
         return FULL
     if dt > 0.0:
         policy.motion(models, state, u, dt)
-        if not (is_finite(state.pose) and all_finite(state.F) and all_finite(state.Q)):
+        if not finite_motion(state):
             rename(state, slots)
             return BAD_MOTION
     else:
-        state.pose[:] = state.mean[:3]
+        for i in range(3):
+            state.pose[i] = state.mean[i]
+    size, D = state.size, state.size[ACTIVE]
+    before = size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN]
+    size[ODD] = 0
+    if size[COLUMNS] == 0 and D <= SMALL and size[ROWS] <= 2 and not policy.batch:
+        # To save so little is cheaper than to ask every sighting first; only where one fails they are asked after all.
+        save(state)
+        status = advance_and_take(policy, models, state, slots, z, dt)
+        if size[ODD] == 0:
+            rename(state, slots)
+            return upkeep(state, slots.shape[0]) if status == OK else status
+        for i in range(slots.shape[0]):
+            slots[i] = slots[i] if slots[i] < D else -1
+        undo(state, D)
+        size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN] = before
     bad = first_bad(models, state, slots, z)
     if bad >= 0:
-        state.size[3] = bad
+        size[FAILING] = bad
         rename(state, slots)
         return BAD_SIGHTING
-    if dt > 0.0:
-        state.mean[:3] = state.pose
-        propagate(state)
-    status = take(policy, models, state, slots, z, dt > 0.0)
+    status = advance_and_take(policy, models, state, slots, z, dt)
     rename(state, slots)
     return upkeep(state, slots.shape[0]) if status == OK else status
+
+
+as_policy, as_models, as_state = intrinsics("structures", "as_policy", "as_models", "as_state")
+
+
+@compiled("index(index, index, index, vector, real, integers, matrix)")
+def step_at(policy: int, models: int, state: int, u: Any, dt: float, slots: Any, z: Any) -> Any:
+    """`step` with the addresses of its tables, for a caller in Python to whom every microsecond counts."""
+    return step(as_policy(policy), as_models(models), as_state(state), u, dt, slots, z)
 
 
 @compiled(
@@ -325,7 +412,7 @@ def run(
 ) -> int:  # fmt: skip
     """Steps begin_at … end_at-1 of a schedule, recorded, until one is not OK; how many are done.
 
-    The last status is in size[4]: OK at the end, DUE after a step that is done, else that of the step that was refused.
+    The last status stays in the state: OK at the end, DUE after a step that is done, else that of the one refused.
 
     ``which[j]`` is the log's landmark in observation j, ``slot_of`` maps it to its slot (-1: not in the map yet);
     the true poses and landmarks are empty unless the filter is told them.
@@ -342,7 +429,7 @@ def run(
         status = step(policy, models, state, controls[max(control[i], 0)], dt[i], slots[:n], z[lo : lo + n])
         for j in range(n):
             slot_of[which[lo + j]] = slots[j]
-        state.size[4] = status
+        state.size[STATUS] = status
         if status != OK and status != DUE:
             return i
         policy.report(state, poses[i], covariances[i])

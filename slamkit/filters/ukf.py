@@ -11,7 +11,7 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit import kernels, se2
-from slamkit.compiled import Compiled, compiled
+from slamkit.compiled import FAILING, STATUS, Compiled, compiled
 from slamkit.errors import InputError
 from slamkit.filters import steps
 from slamkit.filters.base import LandmarkFilter, PolicyFunctions
@@ -430,11 +430,16 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         moments(plus, minus, fit.half, fit.error, fit.mean, memory, r, n)
         return fit
 
+    def _take_step(self, u: Array, dt: float, slots: NDArray[np.int64], z: Array) -> int:
+        if self.sigma_points == "partial":
+            return super()._take_step(u, dt, slots, z)
+        # Python appends the landmarks here, so there must be room for them first.
+        self._belief.reserve(len(slots), len(slots))
+        return self._whole_step(u, dt, slots, z)
+
     def _guarded(self, step: Compiled, *arguments: Any) -> int:
         if self.sigma_points == "partial":
             return super()._guarded(step, *arguments)
-        if step is steps.step:
-            return self._whole_step(*arguments)
         controls, dt, control, first, which, slot_of, z, _, _, begin_at, end_at, *records = arguments
         poses, covariances, innovations, nis, accepted = records
         state = self._belief.state
@@ -443,7 +448,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
             slots = slot_of[which[rows]]
             status = self._whole_step(controls[max(control[i], 0)], dt[i], slots, z[rows])
             slot_of[which[rows]] = slots
-            state.size[4] = status
+            state.size[STATUS] = status
             if status != steps.OK:
                 return i
             self._policy.report(state, poses[i], covariances[i])
@@ -464,7 +469,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
             bad = self._first_bad(slots, z)
             if bad >= 0:
                 belief.restore(before)
-                state.size[3] = bad
+                state.size[FAILING] = bad
                 return steps.BAD_SIGHTING
             self._whole_scan(slots, z)
         except Exception:
