@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from slamkit import EKFSLAM, Log, Scan
-from slamkit.belief import Storage
+from slamkit import EKFSLAM, Log, Scan, Storage
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.se2 import wrap
 from slamkit.simulate import random_world, simulate

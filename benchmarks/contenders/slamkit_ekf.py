@@ -1,4 +1,7 @@
-"""slamkit's standard EKF, in the ways in which it can be called."""
+"""slamkit's standard EKF, in the ways in which it can be called.
+
+What is timed ends with a flush: nothing is left over that would have to be paid later.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,7 @@ import numpy as np
 from _workload import Array, IntArray, Work
 
 from contenders import ROUNDING
-from slamkit import Scan
-from slamkit.belief import Storage
+from slamkit import Scan, Storage
 
 FLUSH_WORK = 2e8  #: multiply-adds that a step may spend on a flush where it is spread: some 10 to 20 ms
 
@@ -33,7 +35,12 @@ class Run:
     def ready(self, begin: int, end: int) -> Callable[[], object]:
         """A log of the steps."""
         log = self.work.log(begin, end)
-        return lambda: self.filter.run(log)
+
+        def go() -> None:
+            self.filter.run(log)
+            self.filter.flush()
+
+        return go
 
     def joint(self, at: IntArray) -> tuple[Array, Array]:
         """State and a block of P, without the whole of it."""
@@ -54,6 +61,7 @@ class Step(Run):
         def go() -> None:
             for u, dt, scan in arguments:
                 step(u, dt, scan)
+            self.filter.flush()
 
         return go
 
@@ -111,5 +119,6 @@ class Calls(Step):
                 predict(u, dt)
                 for landmark, z in sightings:
                     observe(landmark, z)
+            self.filter.flush()
 
         return go
