@@ -8,269 +8,30 @@ that, all of them must agree on the belief to 1e-9. Writes speed.json, speed.md 
 
 from __future__ import annotations
 
-import os
-
-# The libraries under NumPy and SciPy read these once, when they are loaded.
-os.environ.update(
-    dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1")
-)
-
-import copy
-import gc
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from math import atan2, cos, hypot, pi, sin
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Protocol
+from typing import Annotated, Any
 
+import _one_thread  # noqa: F401  (before NumPy)
 import numpy as np
 import typer
 from _machine import machine, sentence
-from filterpy.kalman import ExtendedKalmanFilter
-from numpy.typing import NDArray
+from _measure import quartiles, seconds, spread, three_digits
+from _workload import SIGHTINGS, Array, Work, make_work
+from contenders import contender
 from rich.console import Console
 from rich.table import Table
 
-from slamkit import EKFSLAM, Log, Scan
-from slamkit.models import RangeBearing, Unicycle
 from slamkit.plots import STYLES, Style, save, style
 from slamkit.se2 import wrap
-from slamkit.simulate import random_world, simulate
 from slamkit.summary import write_json
 
-Array = NDArray[np.float64]
-
-SIGHTINGS = 8
 STEPS = 2000
-DT = 0.1
-NEAREST = 0.5  # [m]; so near that the noise of the range is much of it, no landmark is sighted
-SIGMA_RANGE, SIGMA_BEARING = 0.1, float(np.deg2rad(2.0))
-SIGMA_V, SIGMA_OMEGA = 0.1, 0.1
 AGREEMENT = 1e-9
 SAMPLE = 0.1  # [s]; a sample takes at least as long as that, or has all of the work's steps
 TARGETS = {10: 10.0, 100: 100.0}  # landmarks → how many times faster than filterpy a step must be
-
-
-class Sighting(NamedTuple):
-    """One measurement of the landmark whose coordinates begin at `slot` of the state."""
-
-    slot: int
-    z: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Work:
-    """The same steps in the form that each contender takes, and the filter with the finished map they start from."""
-
-    start: EKFSLAM
-    controls: Array  # (STEPS, 2)
-    sightings: list[list[Sighting]]
-    scans: list[Scan]
-    log: Log
-
-    def first(self, steps: int) -> Log:
-        """The first steps as a log of their own, not yet merged by time."""
-        log, seen = self.log, SIGHTINGS * steps
-        return replace(
-            log,
-            control_times=log.control_times[:steps],
-            controls=log.controls[:steps],
-            observation_times=log.observation_times[:seen],
-            observation_ids=log.observation_ids[:seen],
-            observations=log.observations[:seen],
-            end_time=DT * steps,
-        )
-
-
-def make_work(landmarks: int, rng: np.random.Generator) -> Work:
-    """A drive through a random map, all of it mapped from the start; each step sights the nearest landmarks."""
-    world = random_world(rng, landmarks, steps=STEPS)
-    assert world.dt == DT
-    places = np.array(list(world.landmarks.values()))
-    drive = simulate(replace(world, landmarks={}), rng)
-    assert drive.truth is not None
-    offset = places - drive.truth.poses[:, None, :2]
-    distance = np.hypot(offset[..., 0], offset[..., 1])
-    bearing = np.arctan2(offset[..., 1], offset[..., 0]) - drive.truth.poses[:, None, 2]
-    z = np.stack([distance, bearing], -1) + rng.normal(0.0, (SIGMA_RANGE, SIGMA_BEARING), (STEPS + 1, landmarks, 2))
-    z[..., 0] = np.abs(z[..., 0])
-    z[..., 1] = wrap(z[..., 1])
-    rows = np.argsort(np.where(distance < NEAREST, np.inf, distance), axis=1)[1:, :SIGHTINGS]
-    rows.sort(axis=1)  # as a log has them
-
-    start = EKFSLAM(Unicycle(SIGMA_V, SIGMA_OMEGA), RangeBearing(SIGMA_RANGE, SIGMA_BEARING), world.pose)
-    start.observe_scan(Scan(range(landmarks), z[0]))
-    z = np.take_along_axis(z[1:], rows[..., None], axis=1)
-    return Work(
-        start=start,
-        controls=drive.controls,
-        sightings=[
-            [Sighting(3 + 2 * i, z_i) for i, z_i in zip(ids, scan, strict=True)]
-            for ids, scan in zip(rows.tolist(), z, strict=True)
-        ],
-        scans=[Scan(tuple(ids), scan) for ids, scan in zip(rows.tolist(), z, strict=True)],
-        log=Log(
-            control_times=drive.control_times,
-            controls=drive.controls,
-            observation_times=np.repeat(drive.truth.times[1:], SIGHTINGS),
-            observation_ids=rows.ravel(),
-            observations=z.reshape(-1, 2),
-            landmark_ids=tuple(range(landmarks)),
-        ),
-    )
-
-
-# -- the models as a textbook's filter has them: plain Python on scalars, dense matrices ------------------------------
-
-
-def move(pose: Array, u: Array) -> tuple[list[float], Array, Array]:
-    """Exact arc: new pose, ∂/∂pose (3, 3) and the noise's covariance (3, 3)."""
-    (x, y, theta), (v, omega) = pose.tolist(), u.tolist()
-    a = omega * DT / 2
-    sinc, slope = (sin(a) / a, (cos(a) - sin(a) / a) / a) if abs(a) > 1e-4 else (1 - a * a / 6, -a / 3)
-    c, s = cos(theta + a), sin(theta + a)
-    dx, dy = v * DT * sinc * c, v * DT * sinc * s
-    F = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
-    h = v * DT * DT / 2
-    G = np.array([[DT * sinc * c, h * (slope * c - sinc * s)], [DT * sinc * s, h * (slope * s + sinc * c)], [0.0, DT]])
-    return [x + dx, y + dy, theta + omega * DT], F, (G * (SIGMA_V**2, SIGMA_OMEGA**2)) @ G.T
-
-
-def predicted(x: Array, slot: int) -> Array:
-    """Range and bearing."""
-    dx, dy = x[slot] - x[0], x[slot + 1] - x[1]
-    return np.array([hypot(dx, dy), atan2(dy, dx) - x[2]])
-
-
-def jacobian(x: Array, slot: int) -> Array:
-    """∂z/∂x (2, D)."""
-    dx, dy = x[slot] - x[0], x[slot + 1] - x[1]
-    q = dx * dx + dy * dy
-    r = hypot(dx, dy)
-    H = np.zeros((2, len(x)))
-    H[:, :3] = (-dx / r, -dy / r, 0.0), (dy / q, -dx / q, -1.0)
-    H[:, slot : slot + 2] = (dx / r, dy / r), (-dy / q, dx / q)
-    return H
-
-
-def residual(z: Array, z_hat: Array) -> Array:
-    """The difference z - z_hat, the bearing wrapped."""
-    y = z - z_hat
-    y[1] = (y[1] + pi) % (2 * pi) - pi
-    return y
-
-
-R = np.diag([SIGMA_RANGE**2, SIGMA_BEARING**2])
-
-
-# -- the contenders ---------------------------------------------------------------------------------------------------
-
-
-class Contender(Protocol):
-    """One way to do the work."""
-
-    def __init__(self, work: Work, steps: int) -> None:
-        """Make everything ready; this is not timed."""
-        ...
-
-    def go(self) -> None:
-        """Take the first steps of the work; this is timed."""
-        ...
-
-    def belief(self) -> tuple[Array, Array]:
-        """State (D,) and covariance (D, D) after that."""
-        ...
-
-
-class Filterpy(ExtendedKalmanFilter):
-    """filterpy's ExtendedKalmanFilter as it comes: dense F and Q to predict, one dense update a sighting."""
-
-    def __init__(self, work: Work, steps: int) -> None:
-        x, P = work.start.x.copy(), work.start.P.copy()
-        super().__init__(len(x), 2)
-        self.x, self.P, self.R, self.Q = x, P, R, np.zeros_like(P)
-        self.work, self.steps = work, steps
-
-    def predict_x(self, u: Any = 0) -> None:
-        """The motion model; filterpy calls it from `predict`."""
-        self.x[:3], self.F[:3, :3], self.Q[:3, :3] = move(self.x[:3], u)
-
-    def go(self) -> None:
-        """Take the steps."""
-        for k in range(self.steps):
-            self.predict(self.work.controls[k])
-            for slot, z in self.work.sightings[k]:
-                self.update(z, jacobian, predicted, args=(slot,), hx_args=(slot,), residual=residual)
-
-    def belief(self) -> tuple[Array, Array]:
-        """State and covariance."""
-        return self.x, self.P
-
-
-class Textbook:
-    """EKF-SLAM in NumPy as textbooks write it (Thrun, Burgard & Fox 2005, table 10.1): P = F P Fᵀ + Q, (I - K H) P."""
-
-    def __init__(self, work: Work, steps: int) -> None:
-        self.x, self.P = work.start.x.copy(), work.start.P.copy()
-        self.work, self.steps = work, steps
-
-    def go(self) -> None:
-        """Take the steps."""
-        x, P, identity = self.x, self.P, np.eye(len(self.x))
-        for k in range(self.steps):
-            F, Q = identity.copy(), np.zeros_like(P)
-            x[:3], F[:3, :3], Q[:3, :3] = move(x[:3], self.work.controls[k])
-            P = F @ P @ F.T + Q
-            for slot, z in self.work.sightings[k]:
-                H = jacobian(x, slot)
-                K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-                x += K @ residual(z, predicted(x, slot))
-                P = (identity - K @ H) @ P
-        self.P = P
-
-    def belief(self) -> tuple[Array, Array]:
-        """State and covariance."""
-        return self.x, self.P
-
-
-class Step:
-    """`EKFSLAM.step`, called from Python."""
-
-    def __init__(self, work: Work, steps: int) -> None:
-        self.filter, self.work, self.steps = copy.deepcopy(work.start), work, steps
-
-    def go(self) -> None:
-        """Take the steps."""
-        for k in range(self.steps):
-            self.filter.step(self.work.controls[k], DT, self.work.scans[k])
-
-    def belief(self) -> tuple[Array, Array]:
-        """State and covariance."""
-        return self.filter.x, self.filter.P
-
-
-class Run:
-    """`EKFSLAM.run`: merges the log by time, takes every step, and returns a history of all of it."""
-
-    def __init__(self, work: Work, steps: int) -> None:
-        self.filter, self.log = copy.deepcopy(work.start), work.first(steps)
-
-    def go(self) -> None:
-        """Take the steps."""
-        self.filter.run(self.log)
-
-    def belief(self) -> tuple[Array, Array]:
-        """State and covariance."""
-        return self.filter.x, self.filter.P
-
-
-CONTENDERS: dict[str, type[Contender]] = {
-    "filterpy, dense": Filterpy,
-    "NumPy, textbook": Textbook,
-    "slamkit, step": Step,
-    "slamkit, run": Run,
-}
+CONTENDERS = ("filterpy, dense", "NumPy, textbook", "slamkit, step", "slamkit, run")
 PEER = "filterpy, dense"
 LOOKS: dict[str, Style] = {
     "filterpy, dense": style("filterpy, dense"),
@@ -286,13 +47,15 @@ LOOKS: dict[str, Style] = {
 def disagreement(work: Work, steps: int) -> float:
     """Largest difference of any contender from the peer: of the state, or of P as a share of its largest entry."""
     beliefs = {}
-    for name, contender in CONTENDERS.items():
-        done = contender(work, steps)
-        done.go()
-        beliefs[name] = done.belief()
+    for name in CONTENDERS:
+        done = contender(name)(work)
+        done.start()
+        before = np.array(done.joint(np.arange(3))[0])
+        done.ready(work.survey, work.survey + steps)()
+        beliefs[name] = done.joint(np.arange(work.dim))
+        if np.allclose(before, beliefs[name][0], atol=AGREEMENT):
+            raise SystemExit(f"{name} did not move: that it agrees says nothing")
     x, P = beliefs[PEER]
-    if np.allclose(x, work.start.x, atol=AGREEMENT):
-        raise SystemExit("the filters did not move: that they agree says nothing")
     worst = 0.0
     for other_x, other_P in beliefs.values():
         dx = other_x - x
@@ -301,50 +64,38 @@ def disagreement(work: Work, steps: int) -> float:
     return worst
 
 
-def seconds(contender: type[Contender], work: Work, steps: int) -> float:
+def seconds_a_step(name: str, work: Work, steps: int) -> float:
     """Time of one step, from so many in a row."""
-    ready = contender(work, steps)
-    gc.collect()
-    gc.disable()
-    try:
-        begin = time.perf_counter()
-        ready.go()
-        return (time.perf_counter() - begin) / steps
-    finally:
-        gc.enable()
+    ready = contender(name)(work)
+    ready.start()
+    return seconds(ready.ready(work.survey, work.survey + steps)) / steps
 
 
-def enough(contender: type[Contender], work: Work) -> int:
+def enough(name: str, work: Work) -> int:
     """Steps that a sample needs to be long.
 
     It is lengthened until it is long indeed: a filter's first call, and what `run` does once a log, cost as much as
     hundreds of steps, so that no short sample tells how long a step takes.
     """
     steps = 1
-    while steps < STEPS and steps * seconds(contender, work, steps) < SAMPLE:
+    while steps < STEPS and steps * seconds_a_step(name, work, steps) < SAMPLE:
         steps = min(4 * steps, STEPS)
     return steps
 
 
 def sample(work: Work, rounds: int) -> tuple[dict[str, Array], dict[str, int]]:
     """Times of a step (rounds,) of every contender, taken in turns, and the steps that one sample has."""
-    steps = {name: enough(contender, work) for name, contender in CONTENDERS.items()}
+    steps = {name: enough(name, work) for name in CONTENDERS}
     times: dict[str, list[float]] = {name: [] for name in CONTENDERS}
     for _ in range(rounds):
-        for name, contender in CONTENDERS.items():
-            times[name].append(seconds(contender, work, steps[name]))
+        for name in CONTENDERS:
+            times[name].append(seconds_a_step(name, work, steps[name]))
     return {name: np.array(values) for name, values in times.items()}, steps
-
-
-def quartiles(values: Array) -> dict[str, float]:
-    """Median and quartiles, as JSON can hold them."""
-    q1, median, q3 = np.percentile(values, [25, 50, 75]).tolist()
-    return {"median": median, "q1": q1, "q3": q3}
 
 
 def measure(landmarks: int, rounds: int) -> dict[str, Any]:
     """Everything about one size of map."""
-    work = make_work(landmarks, np.random.default_rng(landmarks))
+    work = make_work(landmarks, np.random.default_rng(landmarks), drive=STEPS)
     checked = 20 if landmarks <= 100 else 3
     worst = disagreement(work, checked)
     if not worst <= AGREEMENT:
@@ -368,17 +119,6 @@ def measure(landmarks: int, rounds: int) -> dict[str, Any]:
 
 
 # -- reporting --------------------------------------------------------------------------------------------------------
-
-
-def three_digits(value: float) -> str:
-    """A number with three digits, or all of its digits before the point."""
-    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
-
-
-def spread(values: dict[str, float], scale: float = 1.0) -> str:
-    """Median and, in parentheses, quartiles."""
-    median, q1, q3 = (three_digits(scale * values[key]) for key in ("median", "q1", "q3"))
-    return f"{median} ({q1} … {q3})"
 
 
 HEADER = ("landmarks", "filter", "time a step [µs]", "times faster", "steps a sample")

@@ -1,0 +1,126 @@
+"""GTSAM's iSAM2, a smoother: it keeps every pose, and its step grows with their number.
+
+It comes as a wheel of its own (``pip install gtsam``, 4.3 or newer), which slamkit does not depend on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+from _workload import SIGMA_BEARING, SIGMA_RANGE, START, Array, IntArray, Work
+
+from contenders import MissingError
+from contenders.dense import move
+
+LEAST = 5e-4  #: [m]; the noise of a factor must be of full rank, and that of speed and turn rate leaves a direction out
+
+
+class Smoother:
+    """iSAM2 with its own defaults; after each step the newest pose is read."""
+
+    tolerance: ClassVar[float] = 1.0  # it linearises all steps anew where a filter has linearised for good
+    defers: ClassVar[bool] = False
+    grows: ClassVar[bool] = True
+
+    def __init__(self, work: Work) -> None:
+        try:
+            import gtsam  # type: ignore[import-not-found, unused-ignore]
+        except ImportError as error:
+            raise MissingError(f"no GTSAM (pip install gtsam): {error}") from None
+        self.gtsam, self.work = gtsam, work
+        self.sight_noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([SIGMA_BEARING, SIGMA_RANGE]))
+
+    def start(self) -> None:
+        """Smooth the survey."""
+        gtsam = self.gtsam
+        self.isam = gtsam.ISAM2(gtsam.ISAM2Params())
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        first = gtsam.Pose2(*self.work.pose)
+        graph.add(gtsam.PriorFactorPose2(self._pose_key(0), first, gtsam.noiseModel.Diagonal.Sigmas(START)))
+        values.insert(self._pose_key(0), first)
+        self.isam.update(graph, values)
+        self.pose, self.last = first, 0
+        self.ready(0, self.work.survey)()
+
+    def ready(self, begin: int, end: int) -> Callable[[], object]:
+        """The factors of each step."""
+        steps = [self._factors(k) for k in range(begin, end)]
+
+        def go() -> None:
+            for graph, moved, new in steps:
+                self._step(graph, moved, new)
+
+        return go
+
+    def _step(self, graph: Any, moved: Any, new: list[tuple[int, float, float]]) -> None:
+        gtsam, key = self.gtsam, self._pose_key(self.last + 1)
+        guess, values = self.pose.compose(moved), gtsam.Values()
+        values.insert(key, guess)
+        for landmark, distance, bearing in new:
+            place = guess.transformFrom(distance * np.array([np.cos(bearing), np.sin(bearing)]))
+            values.insert(self._landmark_key(landmark), place)
+        self.isam.update(graph, values)
+        self.pose, self.last = self.isam.calculateEstimatePose2(key), self.last + 1
+
+    def _factors(self, k: int) -> tuple[Any, Any, list[tuple[int, float, float]]]:
+        """Factors of step k, its motion, and the sightings of landmarks that are new in it."""
+        gtsam, work = self.gtsam, self.work
+        moved, _, noise = move(np.zeros(3), work.controls[k], float(work.dt[k]))
+        c, s = np.cos(moved[2]), np.sin(moved[2])
+        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # GTSAM's noise is in the frame of the end
+        graph = gtsam.NonlinearFactorGraph()
+        model = gtsam.noiseModel.Gaussian.Covariance(turn @ noise @ turn.T + LEAST**2 * np.diag([1.0, 1.0, 0.0]))
+        step = gtsam.Pose2(*moved)
+        graph.add(gtsam.BetweenFactorPose2(self._pose_key(k), self._pose_key(k + 1), step, model))
+        seen = range(work.first[k], work.first[k + 1])
+        sightings = [(int(work.ids[m]), float(work.z[m, 0]), float(work.z[m, 1])) for m in seen]
+        for landmark, distance, bearing in sightings:
+            keys = self._pose_key(k + 1), self._landmark_key(landmark)
+            graph.add(gtsam.BearingRangeFactor2D(*keys, gtsam.Rot2(bearing), distance, self.sight_noise))
+        return graph, step, sightings if k < work.survey else []
+
+    def joint(self, at: IntArray) -> tuple[Array, Array]:
+        """State and a block of the joint covariance of the newest pose and the map."""
+        estimate = self.isam.calculateEstimate()
+        pose = estimate.atPose2(self._pose_key(self.last))
+        places = [estimate.atPoint2(self._landmark_key(i)) for i in range(self.work.landmarks)]
+        chosen = np.unique((at[at >= 3] - 3) // 2)
+        P = self.covariance(chosen.tolist())
+        turn = np.eye(len(P))
+        turn[:2, :2] = pose.rotation().matrix()  # GTSAM's pose errors are in the frame of the robot
+        slots = (at[at >= 3] - 3) // 2
+        rows = np.concatenate([at[at < 3], 3 + 2 * np.searchsorted(chosen, slots) + (at[at >= 3] - 3) % 2])
+        x = np.concatenate([[pose.x(), pose.y(), pose.theta()], *places])
+        return x, (turn @ P @ turn.T)[np.ix_(rows, rows)]
+
+    def covariance(self, landmarks: list[int]) -> Array:
+        """Joint covariance of the newest pose and some landmarks, in this order."""
+        keys = [self._pose_key(self.last), *(self._landmark_key(i) for i in landmarks)]
+        P: Array = self.isam.jointMarginalCovariance(keys).fullMatrix()
+        return P
+
+    def _pose_key(self, k: int) -> int:
+        key: int = self.gtsam.symbol("x", k)
+        return key
+
+    def _landmark_key(self, landmark: int) -> int:
+        key: int = self.gtsam.symbol("l", landmark)
+        return key
+
+
+class Joint(Smoother):
+    """The same, and after each step the joint covariance of pose and map, which a filter has for free."""
+
+    def ready(self, begin: int, end: int) -> Callable[[], object]:
+        """The factors of each step."""
+        steps, everything = [self._factors(k) for k in range(begin, end)], list(range(self.work.landmarks))
+
+        def go() -> None:
+            for graph, moved, new in steps:
+                self._step(graph, moved, new)
+                if self.last > self.work.survey:
+                    self.covariance(everything)
+
+        return go

@@ -1,0 +1,578 @@
+"""From 3 to 10,000 landmarks: the time and the memory of slamkit beside other people's filters.
+
+    python benchmarks/scaling.py [--sizes 10,100] [--quick] [--no-random] [--out DIR]
+
+A step is 1 prediction and 8 range-bearing sightings of mapped landmarks. Every contender has a process of its own and
+one thread; they take turns, so that whatever else the machine does meets all of them, and each has to agree with
+slamkit before it is timed. A plain C++ filter is the measure of all. Writes scaling.json, scaling.md and scaling.png.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import _one_thread  # noqa: F401  (before NumPy)
+import numpy as np
+import typer
+from _machine import machine, sentence
+from _measure import quartiles, spread, three_digits
+from _worker import WINDOW, Floors, Track, Worker, peak
+from _workload import SIGHTINGS, Array, IntArray, Work, make_work
+from contenders import CONTENDERS, ROUNDING, MissingError, contender
+from rich.console import Console
+from rich.table import Table
+
+from slamkit.plots import STYLES, Style, save, style
+from slamkit.se2 import wrap
+from slamkit.summary import write_json
+
+SIZES = (3, 10, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
+PEER = "C++, one triangle"
+RUN, STEP, SPREAD, CALLS, READ = (
+    "slamkit, run",
+    "slamkit, step",
+    "slamkit, step, spread flush",
+    "slamkit, predict + observe",
+    "slamkit, step + read P",
+)
+FLOORS = "floors"
+FLOOR_KEYS = {
+    "triangle_pass_seconds": "one pass over the triangle",
+    "dsyrk_seconds": "8 D² multiply-adds",
+}
+FLOORS_FROM = 100  # landmarks; on smaller maps it is the call that takes the time
+#: Contenders that are not measured at every size.
+ONLY = {READ: (500, 1000, 2000), SPREAD: (1000, 2000, 5000, 10000), CALLS: tuple(n for n in SIZES if n <= 2000)}
+RANDOM = (PEER, RUN, STEP)  # these do the random workload too
+WORST = (STEP, SPREAD)
+PEAKS = (1000, 2000, 5000, 10000)
+AGED = "iSAM2", 100, 2000  # whose time is taken again, on a map of how many landmarks, after how many steps
+TOO_SLOW = 0.1  # [s] a step; who is slower than that has shown it, and larger maps are spared
+LARGE = 1e9  # [bytes]; where P is larger, no more than two contenders are in memory at once
+
+# What is aimed at: landmarks → time of `run`, in times of the C++ filter's.
+RATIOS = {10: 1.5, 50: 1.2, 100: 0.9, 200: 0.35, 500: 0.10, 1000: 0.04, 2000: 0.02, 5000: 0.01}
+STEP_ABOVE_RUN = 10, 4e-6  # landmarks, [s]
+MEAN_STEP = 10000, 6e-3  # landmarks, [s]
+WORST_STEP = 10000, 50e-3  # landmarks, [s], with the spread flush
+PEAK = 10000, 1.15  # landmarks, in sizes of P
+READING = 500, 1.3  # landmarks from which on, in times of the 8 D² multiply-adds
+
+
+# -- measuring --------------------------------------------------------------------------------------------------------
+
+
+def entries_to_compare(work: Work, steps: int) -> IntArray:
+    """Entries of the state whose joint covariance is compared: all, or on a large map those of some landmarks.
+
+    Those are what the last steps have seen and a sample of the whole map.
+    """
+    if work.landmarks <= 500:
+        return np.arange(work.dim)
+    end = work.survey + steps
+    seen = work.ids[work.first[max(work.survey, end - 50)] : work.first[end]]
+    chosen = np.unique(np.concatenate([seen, np.linspace(0, work.landmarks - 1, 100).astype(np.int64)]))
+    return np.concatenate([np.arange(3), (3 + 2 * chosen[:, None] + (0, 1)).ravel()])
+
+
+def disagreement(belief: tuple[Array, Array], other: tuple[Array, Array], entries: IntArray) -> float:
+    """Largest difference of two beliefs: of the state in standard deviations, of the covariance as of correlations."""
+    (x, block), (other_x, other_block) = belief, other
+    sigma = np.sqrt(np.diag(block))
+    dx = other_x - x
+    dx[2] = wrap(dx[2])
+    return float(max(np.abs(dx[entries] / sigma).max(), np.abs((other_block - block) / np.outer(sigma, sigma)).max()))
+
+
+def is_other(name: str) -> bool:
+    """Whether a filter is other people's, not slamkit's nor the C++ filter of this folder."""
+    return name in CONTENDERS and name != PEER and not name.startswith("slamkit")
+
+
+class Field:
+    """The contenders in their processes, and what is known of them."""
+
+    def __init__(self) -> None:
+        self.workers: dict[str, Worker] = {}
+        self.out: dict[str, str] = {}  # who takes no part any more, and why
+
+    def worker(self, name: str) -> Worker:
+        """The process of a contender."""
+        if name not in self.workers:
+            self.workers[name] = Worker()
+        return self.workers[name]
+
+    def ask(self, name: str, method: Any, *arguments: Any) -> Any:
+        """Have a contender do something; one of other people's that cannot is out, with the reason, and gives None."""
+        try:
+            return self.worker(name)(method, *arguments)
+        except MissingError as missing:
+            self.out[name] = str(missing)
+        except Exception as error:
+            if not is_other(name):
+                raise
+            self.out[name] = f"fails: {' '.join(str(error).split())[:100]} …"
+        return None
+
+    def willing(self, landmarks: int, names: Iterable[str]) -> list[str]:
+        """Who of them takes part in maps of this size."""
+        return [n for n in names if n not in self.out and landmarks in ONLY.get(n, (landmarks,))]
+
+    def close(self) -> None:
+        """End all processes."""
+        for worker in self.workers.values():
+            worker.close()
+
+
+@dataclass
+class Times:
+    """What is measured of one contender on one map."""
+
+    steps: int  # a sample
+    seconds: list[float]  # a step, in each round
+    peer: list[float]  # the same of the peer in these rounds
+    checked: dict[str, float]  # disagreement with slamkit, by the number of steps after which it was looked for
+
+
+def group_times(field: Field, work: Work, names: Sequence[str], rounds: int) -> tuple[dict[str, Times], list[Any]]:
+    """Check and time some contenders in turns; what the floors took in each round, where they are among them."""
+    for name in names:
+        field.ask(name, "make", *((Floors, work.dim) if name == FLOORS else (Track, name, work)))
+    checked = check(field, work, [name for name in names if name != FLOORS])
+    steps = {name: field.ask(name, "calibrate") for name in checked if name not in field.out}
+    taken: dict[str, list[Any]] = {name: [] for name in names}
+    for _ in range(rounds):
+        for name in (name for name in names if name not in field.out):
+            taken[name].append(field.ask(name, "sample", *([] if name == FLOORS else [steps[name]])))
+    times = {
+        name: Times(steps[name], taken[name], list(taken.get(PEER, [])), checked[name])
+        for name in steps
+        if name not in field.out
+    }
+    for name in names:
+        field.ask(name, "drop")
+    return times, taken.get(FLOORS, [])
+
+
+def check(field: Field, work: Work, names: Sequence[str]) -> dict[str, dict[str, float]]:
+    """How far each contender is from the first of slamkit's; the end where that is more than it may be.
+
+    After few steps, which all can take, and after many, which only those take that are quick: they meet flushes and
+    have come to other places.
+    """
+    here = [name for name in names if name not in field.out]
+    checked: dict[str, dict[str, float]] = {name: {} for name in here}
+    reference = next((name for name in here if name.startswith("slamkit")), None)
+    if reference is None:
+        return {}  # what cannot be checked is not timed
+    few, many = (20, 2000) if work.landmarks <= 200 else (3, max(3, min(2000, int(4e8 / work.dim**2))))
+    for steps in (few, many):
+        entries = entries_to_compare(work, steps)
+        belief = field.ask(reference, "belief", steps, entries)
+        for name in here:
+            if name == reference or (steps > few and is_other(name)):
+                continue
+            other = field.ask(name, "belief", steps, entries)
+            if other is None:
+                continue
+            found = disagreement(belief, other, entries)
+            if not found <= contender(name).tolerance:
+                raise SystemExit(
+                    f"N = {work.landmarks}: {name} differs from {reference} by {found:.2g} after {steps} steps"
+                )
+            checked[name][str(steps)] = found
+    return checked
+
+
+def measure(field: Field, landmarks: int, rounds: int, scattered: bool) -> dict[str, Any]:
+    """Everything about the time of one size of map."""
+    work = make_work(landmarks, np.random.default_rng(landmarks), scattered=scattered)
+    names = field.willing(landmarks, RANDOM if scattered else CONTENDERS)
+    if 8 * work.dim**2 <= LARGE:
+        groups = [[*names, FLOORS] if landmarks >= FLOORS_FROM else names]
+    else:
+        groups = [[PEER, name] for name in names if name.startswith("slamkit")] + [[FLOORS]]
+    times: dict[str, Times] = {}
+    floors: list[Any] = []
+    for group in groups:
+        found, passes = group_times(field, work, group, rounds)
+        floors += passes
+        for name, entry in found.items():
+            if name in times:  # the peer, in another group
+                times[name].seconds += entry.seconds
+            else:
+                times[name] = entry
+    for name, entry in times.items():
+        if is_other(name) and np.median(entry.seconds) > TOO_SLOW:
+            field.out[name] = f"takes {np.median(entry.seconds):.2g} s a step at N = {landmarks}"
+    passed, multiplied = np.array(floors).reshape(-1, 2).T
+    result: dict[str, Any] = {
+        "landmarks": landmarks,
+        "state": work.dim,
+        "sightings": min(SIGHTINGS, landmarks),
+        "workload": "random" if scattered else "drive",
+        "rounds": rounds,
+        "floors": {"triangle_pass_seconds": quartiles(passed), "dsyrk_seconds": quartiles(multiplied)}
+        if floors
+        else None,
+        "contenders": {
+            name: {
+                "steps_a_sample": entry.steps,
+                "disagreement": entry.checked,
+                "seconds_a_step": quartiles(np.array(entry.seconds)),
+                # Paired by round: what slows the machine down for a while slows both.
+                "ratio": quartiles(np.array(entry.seconds) / entry.peer) if entry.peer and name != PEER else None,
+            }
+            for name, entry in times.items()
+        },
+    }
+    name, n, steps = AGED
+    if landmarks == n and name in times:
+        field.ask(name, "make", Track, name, work)
+        result["contenders"][name]["seconds_a_step_later"] = {"after": steps, "seconds": field.ask(name, "aged", steps)}
+        field.ask(name, "drop")
+    if not scattered:
+        repeats = 3 if landmarks <= 1000 else 2
+        for name in field.willing(landmarks, WORST):
+            result["contenders"][name]["worst"] = worst(field, work, name, times[name].steps, repeats)
+    return result
+
+
+def worst(field: Field, work: Work, name: str, steps: int, repeats: int) -> dict[str, Any]:
+    """Slowest step of a drive from the survey's end."""
+    steps = min(steps, work.steps - work.survey)
+    worker = field.worker(name)
+    worker("make", Track, name, work)
+    slowest = float(worker("worst", steps, repeats).max())
+    worker("drop")
+    return {"seconds": slowest, "steps": steps, "repeats": repeats}
+
+
+def peaks(sizes: Sequence[int]) -> list[dict[str, Any]]:
+    """Memory of whole runs, survey included, each in a process of its own."""
+    found = []
+    for landmarks in sizes:
+        for name in (PEER, RUN):
+            worker = Worker()
+            try:
+                size = worker(peak, name, landmarks, landmarks)
+            except MissingError:
+                continue
+            finally:
+                worker.close()
+            found.append(
+                {
+                    "landmarks": landmarks,
+                    "contender": name,
+                    "bytes": size,
+                    "of_P": size / (8 * (3 + 2 * landmarks) ** 2),
+                }
+            )
+    return found
+
+
+# -- reporting --------------------------------------------------------------------------------------------------------
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    unit, scale = ("µs", 1e6) if seconds < 1e-3 else ("ms", 1e3) if seconds < 1 else ("s", 1.0)
+    return f"{three_digits(scale * seconds)} {unit}"
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """A table of Markdown, the first column and all others to the right."""
+    lines = [f"| {' | '.join(header)} |", "|" + "--:|" * len(header)]
+    return [*lines, *(f"| {' | '.join(row)} |" for row in rows), ""]
+
+
+def of(result: dict[str, Any], name: str, key: str) -> float | None:
+    """Median of what was measured of a contender, None where it was not."""
+    entry = result["contenders"].get(name)
+    return None if entry is None or entry[key] is None else float(entry[key]["median"])
+
+
+def time_rows(results: Sequence[dict[str, Any]], names: Sequence[str]) -> Iterable[list[str]]:
+    """Median time of a step: one row a size, one column a contender, and the two floors."""
+    for result in results:
+        times = [of(result, name, "seconds_a_step") for name in names]
+        floors = [result["floors"] and result["floors"][key]["median"] for key in FLOOR_KEYS]
+        yield [str(result["landmarks"]), *("–" if t is None else duration(t) for t in (*times, *floors))]
+
+
+def ratio_rows(results: Sequence[dict[str, Any]], names: Sequence[str]) -> Iterable[list[str]]:
+    """Paired ratio to the C++ filter with its quartiles: one row a size, one column a contender."""
+    for result in results:
+        entries = [result["contenders"].get(name) for name in names]
+        yield [
+            str(result["landmarks"]),
+            *("–" if entry is None or entry["ratio"] is None else spread(entry["ratio"]) for entry in entries),
+        ]
+
+
+def worst_rows(results: Sequence[dict[str, Any]]) -> Iterable[list[str]]:
+    """Slowest step and mean of the drive, with either rule of flushing."""
+    for result in results:
+        row = [str(result["landmarks"])]
+        for name in WORST:
+            entry = result["contenders"].get(name)
+            if entry is None or "worst" not in entry:
+                row += ["–", "–"]
+            else:
+                row += [duration(entry["seconds_a_step"]["median"]), duration(entry["worst"]["seconds"])]
+        yield row
+
+
+def verdicts(drive: Sequence[dict[str, Any]], memory: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What was aimed at and what came out, for the sizes that were measured."""
+    at = {result["landmarks"]: result for result in drive}
+    found: list[dict[str, Any]] = []
+
+    def judge(landmarks: int, wanted: str, target: float, value: float | None, text: str) -> None:
+        if value is not None:
+            line = f"N = {landmarks}: {wanted} wanted, {text}: {'met' if value <= target else 'NOT met'}"
+            found.append(
+                {"landmarks": landmarks, "target": target, "value": value, "met": value <= target, "line": line}
+            )
+
+    for n, target in RATIOS.items():
+        ratio = of(at[n], RUN, "ratio") if n in at else None
+        if ratio is not None:
+            judge(
+                n, f"run at most {target:g} of the C++ filter's time", target, ratio, f"{three_digits(ratio)} measured"
+            )
+    n, target = STEP_ABOVE_RUN
+    if n in at:
+        above = (of(at[n], STEP, "seconds_a_step") or 0.0) - (of(at[n], RUN, "seconds_a_step") or 0.0)
+        wanted = f"a step called from Python at most {duration(target)} above one of run"
+        judge(n, wanted, target, above, f"{duration(above)} measured")
+    n, target = MEAN_STEP
+    if n in at:
+        for name in (RUN, STEP, SPREAD):
+            mean = of(at[n], name, "seconds_a_step")
+            if mean is not None:
+                judge(n, f"at most {duration(target)} a step", target, mean, f"{name} takes {duration(mean)}")
+    n, target = WORST_STEP
+    if n in at and "worst" in at[n]["contenders"].get(SPREAD, {}):
+        slowest = at[n]["contenders"][SPREAD]["worst"]["seconds"]
+        whole = at[n]["contenders"][STEP]["worst"]["seconds"]
+        text = f"{duration(slowest)} measured ({duration(whole)} where the flush is done at once)"
+        judge(n, f"no step above {duration(target)} with the spread flush", target, slowest, text)
+    n, target = PEAK
+    for entry in memory:
+        if entry["landmarks"] == n and entry["contender"] == RUN:
+            judge(
+                n, f"a peak of at most {target:g} P", target, entry["of_P"], f"{three_digits(entry['of_P'])} P measured"
+            )
+    smallest, target = READING
+    for n, result in at.items():
+        reading = of(result, READ, "seconds_a_step")
+        if n >= smallest and reading is not None:
+            times = reading / result["floors"]["dsyrk_seconds"]["median"]
+            wanted = f"P read after every step within {target:g} times 8 D² multiply-adds"
+            judge(n, wanted, target, times, f"{three_digits(times)} times measured")
+    return found
+
+
+def markdown(facts: dict[str, Any], report: dict[str, Any]) -> str:
+    """The tables."""
+    drive, scattered, memory = report["drive"], report["random"], report["memory"]
+    names = [name for name in CONTENDERS if any(name in result["contenders"] for result in drive)]
+    floors = list(FLOOR_KEYS.values())
+    apart = {
+        same: max(
+            (
+                found
+                for result in (*drive, *scattered)
+                for name, entry in result["contenders"].items()
+                for found in entry["disagreement"].values()
+                if (contender(name).tolerance == ROUNDING) == same
+            ),
+            default=0.0,
+        )
+        for same in (True, False)
+    }
+    lines = [
+        f"Time of a step, 1 prediction and {SIGHTINGS} range-bearing sightings (3 where N = 3), every landmark mapped, "
+        "in a drive through a field with 0.1 landmarks a square metre that sights the nearest ones. Medians, one "
+        "thread, flushes included. The last two columns are this machine's floors: the triangle of P read and written "
+        "once, and the multiply-adds of 8 sightings as one BLAS dsyrk of rank 16.",
+        "",
+        *table(["N", *names, *floors], time_rows(drive, names)),
+        "The same in times of the C++ filter's, paired by round: median (quartiles).",
+        "",
+        *table(["N", *(name for name in names if name != PEER)], ratio_rows(drive, [n for n in names if n != PEER])),
+        "A step of slamkit called by itself: the median of a sample's mean, and the slowest of the drive (the least of "
+        "its repeats, since the other things that the machine does are not the filter's). Either a flush is done at "
+        "once, or it is spread over steps.",
+        "",
+        *table(["N", "at once: mean", "slowest", "spread: mean", "slowest"], worst_rows(drive)),
+    ]
+    if memory:
+        cells = [
+            [str(e["landmarks"]), e["contender"], f"{e['bytes'] / 2**20:.0f}", three_digits(e["of_P"])] for e in memory
+        ]
+        lines += [
+            "Memory at the peak of a run, its survey included, above that of a process that has run on a small map; in "
+            "times of one P in float64.",
+            "",
+            *table(["N", "contender", "MiB", "of P"], cells),
+        ]
+    if scattered:
+        lines += [
+            f"The worst that can happen: {SIGHTINGS} landmarks drawn from the whole map, others at every step.",
+            "",
+            *table(["N", *RANDOM, *floors], time_rows(scattered, RANDOM)),
+            *table(["N", *RANDOM[1:]], ratio_rows(scattered, RANDOM[1:])),
+        ]
+    later = [
+        entry["seconds_a_step_later"] | {"N": result["landmarks"], "name": name}
+        for result in drive
+        for name, entry in result["contenders"].items()
+        if "seconds_a_step_later" in entry
+    ]
+    lines += [
+        f"The step of {e['name']} grows with the poses that it keeps. The tables have the first {WINDOW} steps of the "
+        f"drive; after {e['after']} it takes {duration(e['seconds'])} at N = {e['N']}.\n"
+        for e in later
+    ]
+    lines += [
+        "Before it was timed, every contender was compared with slamkit after the same steps, in state and covariance. "
+        f"The EKFs differ by at most {apart[True]:.1g} standard deviations, those that linearise elsewhere (MRPT, "
+        f"iSAM2) by at most {apart[False]:.1g}. Ratios are of samples taken in turns. {sentence(facts)}.",
+        "",
+        *(f"- {name}: {why}" for name, why in report["out"].items()),
+        *([""] if report["out"] else []),
+        *(f"- {verdict['line']}" for verdict in report["targets"]),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+OURS = STYLES["ekf"]
+LOOKS: dict[str, Style] = {
+    PEER: Style(PEER, "#000000", (), "d"),
+    RUN: replace(OURS, label=RUN, marker="s"),
+    STEP: replace(OURS, label=STEP, dashes=(5.0, 1.6)),
+    CALLS: replace(OURS, label=CALLS, dashes=(1.0, 1.4), marker="^"),
+    "MRPT": Style("MRPT", "#000000", (2.5, 1.2), "v"),
+    "iSAM2": Style("iSAM2", "#777777", (), "x"),
+    "iSAM2 + covariance": Style("iSAM2 + covariance", "#777777", (5.0, 1.5, 1.0, 1.5), "*"),
+    "NumPy, textbook": Style("NumPy, textbook", "#888888", (1.0, 1.4), "p"),
+    "filterpy, dense": style("filterpy, dense"),
+}
+
+
+def draw(results: Sequence[dict[str, Any]], path: Path) -> None:
+    """Time of a step against the number of landmarks; a band joins the quartiles, the floors are dashed."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.6, 4.4), layout="constrained")
+    ax = figure.subplots()
+    n = np.array([result["landmarks"] for result in results])
+    for name, look in LOOKS.items():
+        there = [
+            (result["landmarks"], entry["seconds_a_step"])
+            for result in results
+            if (entry := result["contenders"].get(name))
+        ]
+        if not there:
+            continue
+        at = [landmarks for landmarks, _ in there]
+        q1, median, q3 = (1e3 * np.array([entry[key] for _, entry in there]) for key in ("q1", "median", "q3"))
+        ax.fill_between(at, q1, q3, color=look.color, alpha=0.2, linewidth=0)
+        ax.plot(
+            at, median, color=look.color, linestyle=look.linestyle, marker=look.marker, markersize=4.5, label=look.label
+        )
+    for (key, label), dashes in zip(FLOOR_KEYS.items(), ((2.0, 2.0), (6.0, 3.0)), strict=True):
+        there = [(result["landmarks"], 1e3 * result["floors"][key]["median"]) for result in results if result["floors"]]
+        if there:
+            ax.plot(*zip(*there, strict=True), color="0.55", linewidth=0.8, linestyle=(0, dashes), label=label)
+    ax.set(xscale="log", yscale="log", xlabel="landmarks", ylabel=f"time of a step, {SIGHTINGS} sightings [ms]")
+    ax.set_xticks(n, [f"{value:,}" for value in n.tolist()], minor=False)
+    ax.minorticks_off()
+    ax.grid(True, color="0.9", linewidth=0.6)
+    ax.set_axisbelow(True)
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+    save(figure, path, dpi=150)
+
+
+def sizes_of(text: str) -> tuple[int, ...]:
+    """Numbers of landmarks from the command line, ascending."""
+    try:
+        sizes = tuple(sorted({int(part) for part in text.split(",")}))
+    except ValueError:
+        sizes = ()
+    if not sizes or sizes[0] < 1:
+        raise typer.BadParameter(f"{text!r}, expected numbers of landmarks such as 10,100")
+    return sizes
+
+
+def main(
+    sizes: Annotated[
+        str | None, typer.Option(metavar="N,N,…", help="Numbers of landmarks; by default 3 to 10,000.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A look: up to 500 landmarks and three rounds.")] = False,
+    random: Annotated[bool, typer.Option(help="The random workload too.")] = True,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write.")] = Path(__file__).parent / "results",
+) -> None:
+    """Time one step of slamkit and of other people's filters on maps of 3 to 10,000 landmarks."""
+    chosen = sizes_of(sizes) if sizes is not None else tuple(n for n in SIZES if not quick or n <= 500)
+    console = Console(highlight=False)
+    facts = machine()
+    console.print(sentence(facts), soft_wrap=True)
+    field = Field()
+    results: dict[bool, list[dict[str, Any]]] = {False: [], True: []}
+    try:
+        for scattered in (False, True) if random else (False,):
+            for n in chosen:
+                with console.status(f"{n} landmarks, {'random' if scattered else 'drive'}"):
+                    rounds = 3 if quick or n > 1000 else 5 if n > 200 else 9
+                    result = measure(field, n, rounds, scattered)
+                results[scattered].append(result)
+                show(console, result)
+    finally:
+        field.close()
+    with console.status("memory"):
+        memory = peaks([n for n in PEAKS if n in chosen])
+    report: dict[str, Any] = {"drive": results[False], "random": results[True], "memory": memory, "out": field.out}
+    report["targets"] = verdicts(results[False], memory)
+    for name, why in field.out.items():
+        console.print(f"{name}: {why}", soft_wrap=True)
+    for entry in memory:
+        console.print(f"N = {entry['landmarks']}: {entry['contender']} has a peak of {entry['of_P']:.3g} P")
+    for verdict in report["targets"]:
+        console.print(verdict["line"], soft_wrap=True)
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "scaling.json", {"machine": facts, **report})
+    (out / "scaling.md").write_text(markdown(facts, report), encoding="utf-8")
+    draw(results[False], out / "scaling.png")
+
+
+def show(console: Console, result: dict[str, Any]) -> None:
+    """One size of map on the terminal."""
+    title = f"{result['landmarks']} landmarks, {result['workload']}"
+    columns = Table(title=title, title_justify="left")
+    columns.add_column("filter")
+    for column in ("a step", "times C++", "slowest", "differs", "sample"):
+        columns.add_column(column, justify="right", no_wrap=True)
+    for name, entry in result["contenders"].items():
+        ratio, slowest = entry["ratio"], entry.get("worst")
+        columns.add_row(
+            name,
+            duration(entry["seconds_a_step"]["median"]),
+            "1" if name == PEER else "–" if ratio is None else spread(ratio),
+            "" if slowest is None else duration(slowest["seconds"]),
+            f"{max(entry['disagreement'].values(), default=0.0):.1g}",
+            str(entry["steps_a_sample"]),
+        )
+    for key, label in FLOOR_KEYS.items() if result["floors"] else ():
+        columns.add_row(label, duration(result["floors"][key]["median"]), *[""] * 4)
+    console.print(columns)
+
+
+if __name__ == "__main__":
+    typer.run(main)
