@@ -690,21 +690,21 @@ def _table(title: str, runs: Sequence[Assessment]) -> Table:
     return table
 
 
-#: Columns of the table of a comparison: with a truth, and without one.
+#: Columns of the table of a comparison, with a truth and without one; broken so that they fit a terminal of 80.
 JUDGED = {
-    "position RMSE [m]": "position_rmse_m",
-    "heading RMSE [deg]": "heading_rmse_deg",
-    "pose NEES (3)": "pose_nees",
-    "gauge NEES (3)": "gauge_nees",
-    "relative NEES a dof (1)": "relative_nees_per_dof",
-    "nullity (3)": "nullity",
+    "position\nRMSE [m]": "position_rmse_m",
+    "heading\nRMSE\n[deg]": "heading_rmse_deg",
+    "pose\nNEES (3)": "pose_nees",
+    "gauge\nNEES (3)": "gauge_nees",
+    "relative\nNEES/dof\n(1)": "relative_nees_per_dof",
+    "nullity\n(3)": "nullity",
 }
 UNJUDGED = {
-    "NIS a dof (1)": "nis_per_dof",
-    "nullity (3)": "nullity",
-    "gauge deviation falls by": "gauge_deviation_drop",
-    "stochastic gauge [m]": "stochastic_gauge_m",
-    "time a step [µs]": "seconds_per_step",
+    "NIS/dof\n(1)": "nis_per_dof",
+    "nullity\n(3)": "nullity",
+    "gauge\ndeviation\nfalls by": "gauge_deviation_drop",
+    "stochastic\ngauge [m]": "stochastic_gauge_m",
+    "time\na step\n[µs]": "seconds_per_step",
 }
 
 
@@ -716,7 +716,7 @@ def _comparison(study: Study, title: str) -> Table:
     table.add_column("", no_wrap=True)
     columns = JUDGED if judged else UNJUDGED
     for heading in columns:
-        table.add_column(heading, justify="right", min_width=max(map(len, heading.split())))
+        table.add_column(heading, justify="right", no_wrap=True)
     for name, numbers in summary.items():
         table.add_row(name, *[_figure_of(key, numbers[key]) for key in columns.values()])
     return table

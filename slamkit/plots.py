@@ -862,7 +862,7 @@ def plot_claim(
     *,
     sigmas: float = 3.0,
     label: str = "heading error [deg]",
-    lines: int = 8,
+    lines: int = 10,
     points: int = 400,
     legend: bool = True,
 ) -> Artists:

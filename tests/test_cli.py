@@ -794,6 +794,7 @@ def test_demo(tmp_path: Path) -> None:
         for key in ("position_rmse_m", "pose_nees", "gauge_nees", "relative_nees_per_dof"):
             assert f" {numbers[key]:.3f} " in rows[name], (name, key)
     report = (out / "comparison" / "report.md").read_text()
+    assert {(len(rows[name]), rows[name][-1]) for name in compared} == {(79, "│")}
     said = next(line for line in text.splitlines() if "claim too little" in line.lower())
     assert said in report
     figures = {p.stem for p in (out / "comparison").glob("*.png") if is_png(p)}
