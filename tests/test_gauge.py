@@ -6,7 +6,7 @@ import copy
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -19,6 +19,8 @@ from slamkit.compiled import compiled
 from slamkit.filters import FILTERS
 from slamkit.filters.standard import start as standard_start
 from slamkit.models import Unicycle
+from slamkit.simulate import loop_world
+from slamkit.study import GAUGE_COVARIANCE, GAUGE_MOTION
 
 #: Whether an estimator keeps the gauge unlearnt; None: not exactly, and no law says how far. A new one adds a line.
 KEEPS: dict[str, bool | None] = {
@@ -31,7 +33,7 @@ KEEPS: dict[str, bool | None] = {
     "robocentric": None,
     "ukf": False,
     "ukf-full": None,
-    "oc-ukf": None,
+    "oc-ukf": True,
 }
 KEEPERS = [name for name in FILTERS if KEEPS.get(name)]
 LEARNERS = [name for name in FILTERS if KEEPS.get(name) is False]
@@ -40,6 +42,8 @@ every_order = pytest.mark.parametrize("order", ORDERS)
 every_sensor = pytest.mark.parametrize("sensor", SENSORS)
 decided = pytest.mark.parametrize("name", KEEPERS + LEARNERS)
 keepers, learners = pytest.mark.parametrize("name", KEEPERS), pytest.mark.parametrize("name", LEARNERS)
+#: A mean over sigma points depends on how uncertain the frame is, even where the gauge is kept.
+keepers_without_sigma_points = pytest.mark.parametrize("name", [name for name in KEEPERS if "ukf" not in name])
 
 P0 = np.diag([0.1, 0.2, np.deg2rad(5.0)]) ** 2
 EPS = np.finfo(float).eps
@@ -153,8 +157,8 @@ def test_nullity_is_three_unless_the_heading_is_learnt(name: str, order: str, se
     assert len(f.landmark_ids) == 0  # a copy made the run
     assert values.shape == (13,) and np.all(np.diff(values) <= 0)
     assert found.nullity == (3 if KEEPS[name] else 2)
-    # A regression over sigma points that are 1e-3 standard deviations apart loses half of the digits.
-    assert np.all(values[-found.nullity :] < (1e-4 if name == "ukf" else 2e-13))
+    # A regression is not blind to where the map lies: what is cubic in the heading remains, as α².
+    assert np.all(values[-found.nullity :] < (1e-6 * values[0] if name == "ukf" else 2e-13))
     assert np.all(values[: -found.nullity] > 1e-2)
 
 
@@ -241,6 +245,16 @@ def _with_a_late_landmark(log: Log) -> Log:
     )
 
 
+@keepers
+@every_order
+def test_a_late_landmark_is_no_exception(name: str, order: str) -> None:
+    log = _with_a_late_landmark(log_of())
+    f = make(name, log, order=order)
+    assert gauge.nullity(f, log).nullity == 3
+    d = gauge.gauge_deviations(f, log)
+    assert gauge.gauge_drop(d) <= 1e-9 * d[0]
+
+
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, 1.0, np.nan])
 def test_tolerances_that_are_no_share(tolerance: float) -> None:
     with pytest.raises(InputError, match="tolerance"):
@@ -312,7 +326,7 @@ def test_gauge_drop_is_the_largest_fall(d: list[float]) -> None:
 # -- stochastic gauge and equivariance
 
 
-@keepers
+@keepers_without_sigma_points
 @every_order
 @every_sensor
 @pytest.mark.parametrize("degrees", [1.0, 5.0, 20.0])
@@ -352,6 +366,16 @@ def test_the_stochastic_gauge_is_the_difference_of_two_runs() -> None:
 def test_estimates_move_with_the_frame(name: str, order: str, sensor: str, T: Any) -> None:
     log, w = log_of(sensor), world(sensor)
     off = gauge.equivariance(FILTERS[name], w.motion, w.sensor, log, T, w.pose, P0, order=order, **told(name, log))
+    assert off <= 1e-9
+
+
+@every_filter
+@pytest.mark.parametrize(("sensor", "P"), [("relative", GAUGE_COVARIANCE), ("range-bearing", None)])
+def test_a_longer_run_moves_with_the_frame(name: str, sensor: Literal["relative", "range-bearing"], P: Any) -> None:
+    """On the loop world, under the motion that `slamkit compare` takes: rounding adds up over 200 steps."""
+    w = loop_world(sensor)
+    log = simulate(replace(w, controls=w.controls[:200]), np.random.default_rng(0))
+    off = gauge.equivariance(FILTERS[name], w.motion, w.sensor, log, GAUGE_MOTION, w.pose, P, **told(name, log))
     assert off <= 1e-9
 
 
@@ -460,7 +484,7 @@ def test_the_split_does_not_depend_on_the_frame(name: str, T: Any) -> None:
     assert a.relative == pytest.approx(b.relative, rel=1e-6)
 
 
-@keepers
+@keepers_without_sigma_points
 def test_both_parts_are_chi_square_where_the_gauge_is_kept(name: str) -> None:
     runs = []
     for seed in range(60):

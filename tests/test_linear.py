@@ -13,14 +13,9 @@ from slamkit import Scan, Truth
 from slamkit.models import RelativePosition, Unicycle
 from slamkit.se2 import rotation
 
-#: The observability-constrained UKF is none by nature: its projection takes from the position's columns of H too.
-KALMAN = [name for name in ALL if name != "oc-ukf"]
-#: How far apart the two may be: 1e-10, but for what close sigma points cancel.
-TOLERANCE = {name: 1e-8 if "ukf" in name else 1e-10 for name in ALL}
-
 
 @pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("name", KALMAN)
+@pytest.mark.parametrize("name", ALL)
 def test_with_a_known_heading_every_filter_is_the_kalman_filter(name: str, order: str) -> None:
     """The heading is known exactly and kept, so positions are linear in all that is uncertain."""
     rng, theta, dt, N = np.random.default_rng(11), 0.7, 0.5, 4
@@ -59,6 +54,6 @@ def test_with_a_known_heading_every_filter_is_the_kalman_filter(name: str, order
         f.step((0.3, 0.0), dt, Scan(list(range(N)), z))
         plain.predict(u=np.array([0.3]))
         plain.update(z.ravel())
-        np.testing.assert_allclose(f.x[at], plain.x, atol=TOLERANCE[name], rtol=0)
-        np.testing.assert_allclose(f.P[np.ix_(at, at)], plain.P, atol=TOLERANCE[name], rtol=0)
+        np.testing.assert_allclose(f.x[at], plain.x, atol=1e-10, rtol=0)
+        np.testing.assert_allclose(f.P[np.ix_(at, at)], plain.P, atol=1e-10, rtol=0)
     assert f.pose[2] == pytest.approx(theta, abs=1e-12)
