@@ -404,7 +404,7 @@ def markdown(facts: dict[str, Any], report: dict[str, Any]) -> str:
         "",
         *table(["N", *(name for name in names if name != PEER)], ratio_rows(drive, [n for n in names if n != PEER])),
         "A step of slamkit called by itself: the median of a sample's mean, and the slowest of the whole drive (of "
-        "the least that each step takes in the repeats: 3, from N = 2000 on 2, at 10,000 one). Either a flush is done at "
+        "the least that each step takes in 3 repeats; from N = 2000 on 2, at 10,000 one). Either a flush is done at "
         "once, or it is spread over steps.",
         "",
         *table(["N", "at once: mean", "slowest", "spread: mean", "slowest"], worst_rows(drive)),
