@@ -286,6 +286,27 @@ CLAIMS: dict[str, dict[str, tuple[float, float]]] = {
         "first sight, EKF with a gate, the others are off by": (0.5, 3),
         "first sight, EKF with a gate, right sightings refused, a run": (200, 1000),
     },
+    "12_ten_thousand_landmarks": {
+        "by hand, sightings": (200, 400),
+        "by hand, active of 403": (15, 60),
+        "by hand, largest move of a landmark that was not in sight, in standard deviations": (0.01, 1),
+        "by hand, largest difference from the plain filter": (0, 1e-9),
+        "200 landmarks, 3000 steps, flushes": (5, 200),
+        "200 landmarks, 3000 steps, sighted": (100, 200),
+        "200 landmarks, 3000 steps, largest difference of x": (0, 1e-9),
+        "200 landmarks, 3000 steps, largest difference of P": (0, 1e-9),
+        "P at N = 10000, one triangle": (1.6, 1.601),  # 4 D² bytes
+        "P at N = 10000, a full matrix": (3.2, 3.202),
+        "P at N = 10000, one triangle over that at N = 1000": (99, 100),
+        "steps in which A is the same at N = 1000 and at N = 10000": (100, 400),
+        "dimension of A at N = 1000, largest of these": (20, 110),
+        "dimension of A at N = 10000, largest of these": (20, 110),
+        "dimension of A at N = 10000, after 400 steps": (20, 200),
+        "N = 2000, at once, flushes": (1, 20),
+        "N = 2000, spread, flushes": (2, 200),
+        "N = 2000, at once and spread, largest difference of x": (0, 1e-9),
+        "N = 2000, at once and spread, largest difference of P": (0, 1e-9),
+    },
 }
 
 
