@@ -25,6 +25,9 @@
 
 # %%
 import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread for everything whose time is compared
+
 import time
 from collections.abc import Hashable
 from dataclasses import replace
