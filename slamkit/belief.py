@@ -8,8 +8,13 @@ last flush is, and the rest is corrected at the next: `slamkit.kernels` has the 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Hashable, Iterable
+import signal
+import threading
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from math import isqrt
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -63,14 +68,18 @@ class Storage:
         if not self.compress_above >= 0:
             raise InputError(f"compress_above is {self.compress_above!r}, expected a number of landmarks ≥ 0")
 
+    @property
+    def cap(self) -> float:
+        """Bytes that a covariance may take."""
+        if self.memory_cap is None:
+            return 0.8 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        return self.memory_cap
+
     def afford(self, size: int, what: str) -> None:
         """Raise MemoryCapError unless `size` bytes are within the cap."""
-        cap = self.memory_cap
-        if cap is None:
-            cap = 0.8 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        if size > cap:
+        if size > self.cap:
             raise MemoryCapError(
-                f"{what} takes {size / 1e9:.3g} GB, the cap is {cap / 1e9:.3g} GB: Storage(memory_cap=…) sets it"
+                f"{what} takes {size / 1e9:.3g} GB, the cap is {self.cap / 1e9:.3g} GB: Storage(memory_cap=…) sets it"
             )
 
 
@@ -122,7 +131,8 @@ class Belief:
         kept = {"mean": start, "points": start, "cov": np.tril(np.asarray(covariance, dtype=float))}
         kept |= {"memory": np.zeros(6), "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0, 0], dtype=np.int64)}
         kept |= {"owner": np.arange(b), "local": np.arange(b), "work": self._terms()}
-        self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, whole=b + 8 * BLOCK)
+        room = b + BLOCK * int(min(8, self.storage.compress_above))
+        self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, whole=room)
 
     def _terms(self) -> Array:
         """Debt, price of a flush per D² and besides, most columns, size from which the belief compresses."""
@@ -133,9 +143,7 @@ class Belief:
         """Arrays of the given capacities that hold what is kept."""
         k, m, rows = self._k, self._m, max(self._k * sightings, int(kept["size"][ROWS]), 2)
         D = int(kept["size"][ACTIVE])
-        # Compiled code works on whole vectors of four numbers.
-        capacity, columns = -(-capacity // 4) * 4, -(-columns // 4) * 4
-        self.storage.afford(8 * capacity * D, f"the covariance of {(D - self.base) // BLOCK} active landmarks")
+        capacity, columns = _vectors(capacity), _vectors(columns)
 
         def copied(name: str, shape: tuple[int, ...], fill: float = 0.0) -> Any:
             old = kept.get(name, np.zeros((0,) * len(shape)))
@@ -280,27 +288,47 @@ class Belief:
         """Make room for this many further blocks, scans of this many sightings, controls of this length."""
         s = self.state
         need, capacity = self.active + BLOCK * blocks, len(s.mean)
-        whole, room = self.dim + BLOCK * blocks, len(s.local)
+        whole, sightings = self.dim + BLOCK * blocks, max(sightings, len(s.nis))
         m = self._m if control_dim is None else control_dim
-        if need <= capacity and whole <= room and sightings <= len(s.nis) and m == self._m:
+        if need <= capacity and whole <= len(s.local) and sightings == len(s.nis) and m == self._m:
             return
+        if need > capacity:
+            capacity = self._capacity(need, need if exactly else self.base + 2 * (need - self.base))
+        room = self._room(whole)
         self._m = m
-        while capacity < need:
-            capacity = need if exactly else self.base + 2 * (capacity - self.base)
-        room = max(room if whole <= room else 2 * whole, capacity)
-        self._lay_out(s.fields, capacity, max(sightings, len(s.nis)), len(s.theta), room)
+        self._lay_out(s.fields, capacity, sightings, len(s.theta), room)
 
-    def widen(self, blocks: int) -> None:
-        """Make room for this many further blocks to become active."""
+    def widen(self, slots: Indices) -> None:
+        """Make room for the blocks at these slots of the map to become active, and for a new one for each slot -1.
+
+        Raises
+        ------
+        MemoryCapError
+            The covariance would pass the cap; nothing has changed.
+        """
         s = self.state
+        resting = BLOCK * int(np.count_nonzero(s.local[slots[slots >= 0]] < 0))
+        new = BLOCK * int(np.count_nonzero(slots < 0))
+        need, columns = self.active + resting + new, int(s.size[COLUMNS]) + resting
+        capacity = len(s.mean) if need <= len(s.mean) else self._capacity(need, max(need, 3 * len(s.mean) // 2))
+        columns = len(s.theta) if columns <= len(s.theta) else max(columns, 3 * len(s.theta) // 2)
+        self._lay_out(s.fields, capacity, len(s.nis), columns, self._room(self.dim + new))
 
-        def grown(room: int, need: int) -> int:
-            return room if need <= room else max(need, 3 * room // 2)
+    def _capacity(self, need: int, wanted: int) -> int:
+        """Active coordinates to make room for: those that are wanted, but within the cap."""
+        which, need, wanted = " active" if self.compressed else "", _vectors(need), _vectors(wanted)
+        self.storage.afford(8 * need**2, f"the covariance of {(need - self.base) // BLOCK}{which} landmarks")
+        return wanted if 8 * wanted**2 <= self.storage.cap else isqrt(int(self.storage.cap / 8)) // 4 * 4
 
-        capacity = grown(len(s.mean), self.active + BLOCK * blocks)
-        columns = grown(len(s.theta), int(s.size[COLUMNS]) + BLOCK * blocks) if self.compressed else 0
-        room = max(grown(len(s.local), self.dim + BLOCK * blocks), capacity)
-        self._lay_out(s.fields, capacity, len(s.nis), columns, room)
+    def _room(self, whole: int) -> int:
+        """Coordinates of the map to make room for, so that a map that is to be compressed can be stored, too."""
+        have, limit = len(self.state.local), self.state.work[4]
+        if whole <= have:
+            return have
+        if whole <= limit:
+            return max(whole, int(min(3 * whole // 2, limit)))
+        self.storage.afford(_packed(whole), f"the covariance of {(whole - self.base) // BLOCK} landmarks")
+        return 3 * whole // 2 if _packed(3 * whole // 2) <= self.storage.cap else -(-whole // PANEL) * PANEL
 
     def register(self, block_id: Hashable, slot: int) -> None:
         """Name the block that compiled code appended at `slot`."""
@@ -310,20 +338,22 @@ class Belief:
 
     def tend(self) -> None:
         """What a step asks for when it returns `DUE`: begin to compress, begin a flush, or go on with one."""
-        if self._pending:
-            self._correct_rows(self.storage.flush_work)
-        else:
-            self._begin_flush()
-            if self.storage.flush_work is None:
-                self._correct_rows(None)
+        with _undisturbed():
+            if self._pending:
+                self._correct_rows(self.storage.flush_work)
+            else:
+                self._begin_flush()
+                if self.storage.flush_work is None:
+                    self._correct_rows(None)
 
     def flush(self) -> None:
         """Bring everything that rests up to date; then only the base is active. Nothing where nothing rests."""
         if self.compressed:
-            self._correct_rows(None)
-            if self.active > BASE or not self._rested:
-                self._begin_flush()
+            with _undisturbed():
                 self._correct_rows(None)
+                if self.active > BASE or not self._rested:
+                    self._begin_flush()
+                    self._correct_rows(None)
 
     @property
     def _pending(self) -> bool:
@@ -358,11 +388,14 @@ class Belief:
             V = np.zeros((-(-whole // PANEL) * PANEL, C))
             kernels.collect(s, V[:whole])
             self._keep_gain(V[:whole])
-            s.rest[:whole] += V[:whole] @ s.theta[:C]
-            kernels.deposit(s, V[:whole] @ s.Phi[:D, :C].T)
-            s.rest[owner], s.rest_points[owner] = s.mean[:D], s.points[:D]
+            moved, cross = V[:whole] @ s.theta[:C], V[:whole] @ s.Phi[:D, :C].T
             V[owner] = 0.0
-            s.replace(V=V, U=V @ self._Psi)
+            U = V @ self._Psi
+            # What may want for memory is done; from here on the belief changes.
+            s.rest[:whole] += moved
+            kernels.deposit(s, cross)
+            s.rest[owner], s.rest_points[owner] = s.mean[:D], s.points[:D]
+            s.replace(V=V, U=U)
             s.size[CORRECTED] = 0
         if len(s.theta) < BASE:
             kept = {**s.fields, "cov": s.cov[:BASE, :BASE]}
@@ -388,8 +421,10 @@ class Belief:
         s = self.state
         need, have = -(-whole // PANEL), len(s.rest) // PANEL
         if need > have:
+            self.storage.afford(_packed(whole), f"the covariance of {(whole - self.base) // BLOCK} landmarks")
             panels = max(need, 6 * have // 5)
-            self.storage.afford(4 * (PANEL * need) ** 2, f"the covariance of {(whole - self.base) // BLOCK} landmarks")
+            if _packed(PANEL * panels) > self.storage.cap:
+                panels = need
             grown = {n: np.zeros(PANEL * panels) for n in ("rest", "rest_points")}
             grown["store"] = np.zeros(PANEL * PANEL * panels * (panels + 1) // 2)
             for name, array in grown.items():
@@ -416,21 +451,19 @@ class Belief:
         if s.size[CORRECTED] >= whole:
             s.replace(V=np.zeros((0, 0)), U=np.zeros((0, 0)))
 
-    def _entries(self, i: Indices, j: Indices) -> Array:
-        """P⁰[i, j] (element by element, broadcast), as the last flush leaves it."""
+    def _entries(self, rows: Indices, columns: Indices) -> Array:
+        """P⁰[rows, columns] (…, p, q) of lists (…, p) and (…, q), as the last flush leaves it."""
         s = self.state
-        i, j = np.maximum(i, j), np.minimum(i, j)
+        i, j = np.maximum(rows[..., None], columns[..., None, :]), np.minimum(rows[..., None], columns[..., None, :])
         p = i // PANEL
         out: Array = s.store[PANEL * (p + 1) * (i - PANEL // 2 * p) + j]
         if self._pending:
-            late = i >= s.size[CORRECTED]
-            out[late] -= np.einsum("nr,nr->n", s.V[i[late]], s.U[j[late]])
+            out -= np.where(i >= s.size[CORRECTED], s.V[rows] @ s.U[columns].swapaxes(-1, -2), 0.0)
         return out
 
     def _resting_rows(self, at: Indices) -> Array:
         """P⁰[at, A₀] (len(at), C)."""
-        columns = self.state.columns[: self.state.size[COLUMNS]]
-        return self._entries(*np.broadcast_arrays(at[:, None], columns[None]))
+        return self._entries(at, self.state.columns[: self.state.size[COLUMNS]])
 
     # -- the cycle ----------------------------------------------------------------------------------------------------
 
@@ -498,16 +531,16 @@ class Belief:
         assert w is not None
         V = np.zeros((-(-self.dim // PANEL) * PANEL, rows))
         V[: self.dim] = w.T
-        s.replace(V=V, U=V)
-        s.size[CORRECTED] = 0
-        self._correct_rows(None)
         dx = w.T @ s.t[:rows]
-        s.rest[: self.dim] += dx
-        s.dx[:BASE] = dx[:BASE]
-        retract(s)
-        s.rest[:BASE] = s.mean[:BASE]
-        at = np.arange(BASE)
-        s.cov[:BASE, :BASE] = self._entries(*np.broadcast_arrays(at[:, None], at[None]))
+        with _undisturbed():
+            s.replace(V=V, U=V)
+            s.size[CORRECTED] = 0
+            self._correct_rows(None)
+            s.rest[: self.dim] += dx
+            s.dx[:BASE] = dx[:BASE]
+            retract(s)
+            s.rest[:BASE] = s.mean[:BASE]
+            s.cov[:BASE, :BASE] = self._entries(np.arange(BASE), np.arange(BASE))
 
     def condition(self, H: ArrayLike, y: ArrayLike, R: ArrayLike) -> None:
         """Update by ``y = H δ + v``, v ~ N(0, R), with a dense H (r, D): x ← x + K y, P ← P - K S Kᵀ."""
@@ -525,8 +558,9 @@ class Belief:
                 M[rest] = self._resting_rows(rest)
             return self._gain_rows(M)
         out = np.zeros((rows, self.dim))
-        assert self._whole_w is not None
-        out[:, : self._whole_w.shape[1]] = self._whole_w
+        if rows > 0:
+            assert self._whole_w is not None
+            out[:, : self._whole_w.shape[1]] = self._whole_w
         return out
 
     def _gain_rows(self, M: Array) -> Array:
@@ -616,9 +650,9 @@ class Belief:
 
     def _parts(self, at: Indices) -> tuple[Array, Array]:
         """Mean (n, d) and covariance (n, d, d) of n lists (n, d) of coordinates."""
-        s, i, j = self.state, at[:, :, None], at[:, None, :]
-        i, j = np.broadcast_arrays(i, j)
+        s = self.state
         if not self.compressed:
+            i, j = at[:, :, None], at[:, None, :]
             return s.mean[at], s.cov[np.maximum(i, j), np.minimum(i, j)]
         local, C = s.local[at], int(s.size[COLUMNS])
         resting = local < 0
@@ -634,7 +668,8 @@ class Belief:
         a, b = np.maximum(local[:, :, None], 0), np.maximum(local[:, None, :], 0)
         a, b = np.broadcast_arrays(a, b)
         out[none] = s.cov[np.maximum(a, b), np.minimum(a, b)][none]
-        out[both] = self._entries(i[both], j[both]) - (rows @ self._Psi @ rows.transpose(0, 2, 1))[both]
+        held = np.where(resting, at, 0)
+        out[both] = (self._entries(held, held) - rows @ self._Psi @ rows.transpose(0, 2, 1))[both]
         return mean, out
 
     def arrays(self) -> dict[str, Array | Indices]:
@@ -660,7 +695,9 @@ class Belief:
         size = np.array(arrays["size"], dtype=np.int64)
         D, whole, C, rows = int(size[ACTIVE]), int(size[WHOLE]), int(size[COLUMNS]), int(size[ROWS])
         self.slots = {i: self.base + BLOCK * n for n, i in enumerate(ids)}
-        resting = C == BASE == D and len(arrays["rest"]) >= whole
+        panels = len(arrays["rest"]) // PANEL
+        stored = len(arrays["rest_points"]) == PANEL * panels and len(arrays["store"]) == _packed(PANEL * panels) // 8
+        resting = C == BASE == D and PANEL * panels >= whole and stored
         if self.base + BLOCK * len(self.slots) != whole or not (resting or (C == 0 and whole == D)):
             raise ValueError(f"{len(self.slots)} landmark ids and a state of {whole}")
         self._whole_w, size[ACTIVE_THEN] = np.array(arrays["w"], dtype=float), -1
@@ -671,7 +708,7 @@ class Belief:
             kept |= {"Phi": np.eye(BASE), "minus_Psi": np.zeros((BASE, BASE)), "columns": np.arange(BASE)}
         room = BASE + 8 * BLOCK
         sightings = max(8, -(-rows // self._k))
-        self._lay_out({**kept, "local": local}, max(D, room), sightings, room if C else 0, max(whole, room))
+        self._lay_out({**kept, "local": local}, max(D, room), sightings, room if C else 0, whole)
 
     def snapshot(self) -> dict[str, Any]:
         """Everything that `restore` needs to bring the belief back to the bit, unless it is flushed meanwhile."""
@@ -690,6 +727,34 @@ class Belief:
             new = getattr(self.state, name)
             new[tuple(slice(0, n) for n in old.shape)] = old
         self.state.cov[:D, :D] = snapshot["cov"]
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Within the block Ctrl-C waits: a flush takes seconds at times, and half of one is no covariance."""
+    ours = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(ours):
+        yield
+        return
+    heard: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda *interrupt: heard.append(interrupt))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, ours)
+        if heard:
+            ours(*heard[0])
+
+
+def _vectors(n: int) -> int:
+    """The least multiple of four ≥ n: compiled code works on whole vectors of four numbers."""
+    return -(-n // 4) * 4
+
+
+def _packed(dim: int) -> int:
+    """Bytes of a packed triangle."""
+    panels = -(-dim // PANEL)
+    return 4 * PANEL**2 * panels * (panels + 1)
 
 
 def _add(state: State) -> None:

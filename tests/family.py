@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import filterpy.kalman
 import numpy as np
 
 from slamkit import Log, Truth
@@ -22,6 +23,7 @@ __all__ = [
     "PlainSensor",
     "control_for",
     "drive",
+    "extra_sensor",
 ]
 #: The ideal filter knows the truth of its log only: it takes part in the laws that run over a log.
 FILTERS: dict[str, Any] = {name: kind for name, kind in ALL.items() if name != "ideal"}
@@ -115,3 +117,11 @@ def drive(motion: Any, sensor: Any, steps: int = 40, landmarks: int = 6, seen: i
         tuple(f"L{i}" for i in range(landmarks)),
         truth=Truth(np.arange(steps + 1) * dt, poses, {f"L{i}": p for i, p in enumerate(positions)}),
     )
+
+
+def extra_sensor(f: Any, z: Any, h: Any, jacobian: Any, *, R: Any, residual: Any = np.subtract) -> None:
+    """filterpy's update, in the signature of the class that the filter derives from."""
+    if isinstance(f, filterpy.kalman.UnscentedKalmanFilter):
+        f.update(z, R, hx=h, residual=residual)
+    else:
+        f.update(z, jacobian, h, R=R, residual=residual)

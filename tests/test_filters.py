@@ -10,7 +10,20 @@ from typing import Any
 import filterpy.kalman
 import numpy as np
 import pytest
-from family import ALL, FILTERS, MOTIONS, ORDERS, P0, ROUNDING, SENSORS, PlainMotion, PlainSensor, control_for, drive
+from family import (
+    ALL,
+    FILTERS,
+    MOTIONS,
+    ORDERS,
+    P0,
+    ROUNDING,
+    SENSORS,
+    PlainMotion,
+    PlainSensor,
+    control_for,
+    drive,
+    extra_sensor,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -210,14 +223,6 @@ def test_files_that_are_not_filters(tmp_path: Path) -> None:
         type(f).load(tmp_path / "absent.npz")
 
 
-def extra_sensor(f: Any, z: Any, h: Any, jacobian: Any, *, R: Any, residual: Any = np.subtract) -> None:
-    """filterpy's update, in the signature of the class that the filter derives from."""
-    if isinstance(f, filterpy.kalman.UnscentedKalmanFilter):
-        f.update(z, R, hx=h, residual=residual)
-    else:
-        f.update(z, jacobian, h, R=R, residual=residual)
-
-
 @every_filter
 def test_filterpys_update_for_a_compass_and_a_gps(name: str) -> None:
     f = grown(name)
@@ -338,6 +343,25 @@ def test_priors_and_posteriors_are_opt_in(name: str) -> None:
     np.testing.assert_allclose(f.P, g.P, atol=1e-14)
 
 
+@all_filters
+def test_a_refused_step_leaves_priors_and_posteriors(name: str) -> None:
+    f = make(name, snapshots=True)
+    log = drive(f.motion, f.sensor)
+    if name == "ideal":
+        f = make(name, snapshots=True, truth=log.truth)
+    steps = [step for step in log if step.dt and len(step.scan.ids)]
+    for step in steps[:3]:
+        f.step(step.u, step.dt, step.scan)
+    before, twin = (f.x_prior, f.P_prior, f.x_post, f.P_post), copy.deepcopy(f)
+    with pytest.raises(InputError):
+        f.step(steps[3].u, steps[3].dt, {steps[3].scan.ids[0]: (np.nan, 0.0)})
+    for a, b in zip(before, (f.x_prior, f.P_prior, f.x_post, f.P_post), strict=True):
+        assert np.array_equal(a, b)
+    for h in (f, twin):
+        h.step(steps[3].u, steps[3].dt, steps[3].scan)
+    assert same(f, twin)
+
+
 @every_filter
 @every_order
 def test_the_gate_refuses_outliers(name: str, order: str) -> None:
@@ -352,6 +376,37 @@ def test_the_gate_refuses_outliers(name: str, order: str) -> None:
     other.step((0.0, 0.0), 1.0, {1: (4.0, 0.0), 3: (5.0, -1.0)})
     np.testing.assert_allclose(f.x, other.x, atol=1e-14)
     np.testing.assert_allclose(f.P, other.P, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", [n for n in FILTERS if n != "ukf-full"])
+@every_order
+@every_sensor
+def test_a_refused_sighting_has_a_gain_of_zero(name: str, order: str, sensor: str) -> None:
+    """y and S are its own, however many sightings the update before it had; nothing was learnt."""
+    f = make(name, sensor=sensor, order=order, gate=25.0)
+    f.run(drive(f.motion, f.sensor))
+    first, second = f.landmark_ids[:2]
+    z = {i: f.sensor.predict(f.pose, f.landmarks[i]) for i in (first, second)}
+    x, P = f.x, f.P
+    far = {i: z[i] + 5.0 for i in z}
+    f.observe(first, far[first])
+    Hp, Hl = f.sensor.jacobians(f.pose, f.landmarks[first])
+    assert f.K.shape == (len(x), 2) and not np.any(f.K)
+    np.testing.assert_allclose(f.y, f.sensor.residual(far[first], z[first]), atol=1e-6)
+    assert np.array_equal(f.z, far[first])
+    if name in ("ekf", "iterated"):
+        H = np.hstack([Hp, Hl])
+        np.testing.assert_allclose(f.S, H @ f.marginal([first], pose=True)[1] @ H.T + f.R, rtol=1e-9)
+    assert f.mahalanobis**2 == pytest.approx(f.y @ np.linalg.solve(f.S, f.y), rel=1e-9)
+    assert f.mahalanobis**2 > 25.0
+    f.observe_scan(far)
+    rows = 4 if order == "batch" else 2
+    assert f.K.shape == (len(x), rows) and not np.any(f.K)
+    assert f.mahalanobis**2 == pytest.approx(f.y @ np.linalg.solve(f.S, f.y), rel=1e-9)
+    assert np.array_equal(f.x, x)
+    assert np.array_equal(f.P, P)
+    f.observe(first, z[first])
+    assert np.any(f.K) and np.trace(f.P) < np.trace(P)
 
 
 @every_filter
@@ -546,6 +601,30 @@ def test_a_scan_on_an_exactly_known_pose_needs_no_jitter() -> None:
     f.step((1.0, 0.0), 1.0, {1: (1.05, 0.2)})
     assert np.array_equal(f.pose_covariance, np.zeros((3, 3)))
     assert np.isfinite(f.mahalanobis)
+
+
+def test_the_ideal_filters_clock_is_at_the_last_good_step() -> None:
+    """After a run that failed or was interrupted, too: from there it goes on."""
+    f, g = make("ideal"), make("ideal")
+    log = drive(f.motion, f.sensor)
+    g.run(log)
+    z = log.observations.copy()
+    z[int(log.schedule.first[20]), 0] = -1.0
+    facts = log.control_times, log.controls, log.observation_times, log.observation_ids
+    with pytest.raises(InputError) as caught:
+        f.run(Log(*facts, z, log.landmark_ids, truth=log.truth))
+    assert f.time == caught.value.history.times[-1] == log.schedule.times[19]  # type: ignore[attr-defined]
+    for step in list(log)[20:]:
+        f.step(step.u, step.dt, step.scan)
+    assert same(f, g)
+
+    def interrupt(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    f = make("ideal")
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        f.run(log, interrupt)
+    assert f.time == stopped.value.history.times[-1] < log.schedule.times[-1]  # type: ignore[attr-defined]
 
 
 def test_the_ideal_filter_refuses_without_the_truth() -> None:

@@ -16,7 +16,15 @@ from scipy.linalg import solve_triangular
 
 from slamkit.belief import BLOCK, Belief, Storage
 from slamkit.compiled import FAILING, ROWS, STATUS, Compiled, Models, Policy, call, models_of
-from slamkit.errors import DivergenceError, InputError, LogFileError, ModelError, SlamkitError, UnsupportedError
+from slamkit.errors import (
+    DivergenceError,
+    InputError,
+    LogFileError,
+    MemoryCapError,
+    ModelError,
+    SlamkitError,
+    UnsupportedError,
+)
 from slamkit.filters import standard, steps
 from slamkit.logs import History, Log, Scan, Schedule, decode_id, encode_id, read_archive, reading, write_archive
 from slamkit.models.files import model_from_dict, model_to_dict
@@ -73,6 +81,8 @@ class LandmarkFilter:
             raise InputError(f"order is {order!r}, expected 'sequential' or 'batch'")
         if gate is not None and not gate > 0:
             raise InputError(f"gate is {gate!r}, expected None or the largest NIS to accept, > 0")
+        if not isinstance(storage, Storage | None):
+            raise InputError(f"storage is {storage!r}, expected None or a slamkit.Storage")
         self.motion, self.sensor, self.order, self.gate = motion, sensor, order, gate
         self.snapshots, self.storage = snapshots, Storage() if storage is None else storage
         self.dim_z, self.B = len(R), 0
@@ -153,12 +163,13 @@ class LandmarkFilter:
             refused has not predicted either.
         """
         if self.snapshots:
-            before = self._belief.snapshot()
+            before, attributes = self._belief.snapshot(), dict(vars(self))
             self.predict(u, dt)
             try:
                 self.observe_scan(scan)
             except Exception:
                 self._belief.restore(before)
+                vars(self).update(attributes)
                 raise
             return
         control, duration = self._control(u), _duration(dt)
@@ -223,17 +234,18 @@ class LandmarkFilter:
                 if status == steps.DUE:
                     self._belief.tend()
                 elif status == steps.FULL:
-                    self._belief.widen(widest)
+                    rows = slice(schedule.first[done], schedule.first[done + 1])
+                    self._belief.widen(slot_of[log.observation_ids[rows]])
                 elif status != steps.OK:
                     rows = slice(schedule.first[done], schedule.first[done + 1])
                     ids = [log.landmark_ids[i] for i in log.observation_ids[rows]]
                     u = controls[max(int(schedule.control[done]), 0)]
                     failure = self._failure(u, ids, z[rows], f" at time {schedule.times[done]} s of the log")
                 report(done)
-        except KeyboardInterrupt as interrupt:
-            # It may come between a compiled stretch and the naming of the landmarks which that has started.
+        except (KeyboardInterrupt, MemoryCapError) as error:
+            # An interrupt may come between a compiled stretch and the naming of the landmarks which that has started.
             self._name(log.landmark_ids, slot_of)
-            failure = interrupt
+            failure = error
         finally:
             report(None)
         landmarks, landmark_covariances = self._marginals()
@@ -622,7 +634,7 @@ class LandmarkFilter:
         slots = np.array(found, dtype=np.int64)
         status = self._take_step(u, dt, slots, z)
         if status == steps.FULL:
-            belief.widen(len(found))
+            belief.widen(slots)
             status = self._take_step(u, dt, slots, z)
         if -1 in found and status in (steps.OK, steps.DUE, steps.NOT_DEFINITE):
             for i, before, slot in zip(ids, found, slots.tolist(), strict=True):

@@ -23,7 +23,8 @@ class EKFSLAM(LandmarkFilter, ExtendedKalmanFilter):  # type: ignore[misc, overr
     order : {"sequential", "batch"}
         A scan's sightings one after the other, each linearised anew, or as one stacked update.
     gate : float, optional
-        Largest NIS yᵀS⁻¹y that is accepted; None accepts every sighting.
+        Largest NIS yᵀS⁻¹y that is accepted; None accepts every sighting. After one that is not, y, S and z are its own
+        and K is zero.
     snapshots : bool
         True keeps x_prior, P_prior, x_post and P_post as filterpy does, at the cost of two copies of P a step.
     storage : Storage, optional

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit.compiled import compiled
-from slamkit.errors import InputError
+from slamkit.errors import InputError, SlamkitError
 from slamkit.filters.base import PolicyFunctions, Progress
 from slamkit.filters.ekf import EKFSLAM
 from slamkit.filters.standard import motion as standard_motion
@@ -127,9 +127,17 @@ class IdealEKFSLAM(EKFSLAM):
         """As :meth:`EKFSLAM.run`; the truth is the log's, unless the filter has been given one."""
         if isinstance(log, Log) and self.truth is None:
             self._learn(log.truth)
-        history = super().run(log, progress)
-        self.time = float(log.schedule.times[-1])
+        try:
+            history = super().run(log, progress)
+        except (SlamkitError, KeyboardInterrupt) as failure:
+            self._set_clock(getattr(failure, "history", None))
+            raise
+        self._set_clock(history)
         return history
+
+    def _set_clock(self, history: History | None) -> None:
+        if history is not None and len(history.times):
+            self.time = float(history.times[-1])
 
     def _truth_for(self, log: Log, schedule: Schedule) -> tuple[Array, Array]:
         poses = np.array([self._true_pose(t) for t in schedule.times]).reshape(-1, 3)

@@ -179,6 +179,15 @@ def settle(policy: Any, state: Any, n: int, k: int) -> int:
     return OK
 
 
+@compiled("void(state, index)")
+def refuse(state: Any, rows: int) -> None:
+    """An update beyond the gate is on record with y, S and L as they are and a gain of zero: it has changed nothing."""
+    size = state.size
+    size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN] = rows, size[ACTIVE], size[WHOLE]
+    state.w[:rows, : size[ACTIVE]] = 0.0
+    state.g[:rows, : size[COLUMNS]] = 0.0
+
+
 @compiled("index(policy, models, state, index)", generic=True)
 def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
     """One update by the n sightings in ``state.slots`` and ``state.z``, stacked.
@@ -198,6 +207,7 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
         nis, place = absorb(state, policy.gate), state.order[0]
         state.innovations[place, 0], state.innovations[place, 1], state.nis[place] = state.y[0], state.y[1], nis
         if not nis <= policy.gate:
+            refuse(state, 2)
             return OK
         state.accepted[place] = True
         return NOT_DEFINITE if nis < 0.0 else settle(policy, state, 1, 2)
@@ -206,6 +216,10 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
     if kept < 0:
         return NOT_DEFINITE
     if kept == 0:
+        if not cholesky(state.S, state.L, 0, n * k):
+            return NOT_DEFINITE
+        forward(state.L, state.y, state.t, 0, n * k)
+        refuse(state, n * k)
         return OK
     if kept < n:
         n = kept
