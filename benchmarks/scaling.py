@@ -490,7 +490,7 @@ def draw(results: Sequence[dict[str, Any]], path: Path) -> None:
         if there:
             ax.plot(*zip(*there, strict=True), color="0.55", linewidth=0.8, linestyle=(0, dashes), label=label)
     ax.set(xscale="log", yscale="log", xlabel="landmarks", ylabel=f"time of a step, {SIGHTINGS} sightings [ms]")
-    ax.set_xticks(n, [f"{value:,}" for value in n.tolist()], minor=False)
+    ax.set_xticks(n, [f"{value}" if value < 1000 else f"{value / 1000:g}k" for value in n.tolist()], minor=False)
     ax.minorticks_off()
     ax.grid(True, color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
