@@ -33,7 +33,8 @@ def small_zip(leave_out: str = "nothing", filler: int = 200_000) -> bytes:
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, text in files.items():
             if leave_out not in name:
-                archive.writestr(f"MRCLAM_Dataset1/{name}", text)
+                # A ZipInfo of its own has a fixed date: two archives of the same files are the same bytes.
+                archive.writestr(zipfile.ZipInfo(f"MRCLAM_Dataset1/{name}"), text)
     return stream.getvalue()
 
 

