@@ -1031,7 +1031,6 @@ def plot_bars(
         band, and one entry a filter: the bar, then its value as text.
     """
     from matplotlib.patheffects import withStroke
-    from matplotlib.ticker import LogLocator
 
     artists: Artists = {}
     if band is not None:
@@ -1086,8 +1085,7 @@ def plot_bars(
         low, high = np.nanmin(ends), np.nanmax(ends)
         _log_scale(ax, "x")
         ax.set_xlim(low / 1.3, 1.1 * high * (high / low) ** 0.25)
-        if high / low < 4:
-            ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+        _log_ticks(ax)
     ax.tick_params(axis="y", length=0)
     ax.set_xlabel(label)
     return artists
@@ -1157,6 +1155,7 @@ def plot_cost(
     _log_scale(ax, "x")
     ax.set(xlabel="time of a step [µs]", ylabel=label)
     ax.margins(0.12)
+    _log_ticks(ax)
     ax.grid(True, which="major", color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
     if legend:
@@ -1277,6 +1276,17 @@ def _log_scale(ax: Axes, which: Literal["x", "y"] = "y") -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def _log_ticks(ax: Axes) -> None:
+    """On a logarithmic horizontal axis as many numbers as have room."""
+    from matplotlib.ticker import LogLocator
+
+    low, high = ax.get_xlim()
+    if high / low < 6:
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
+    elif high / low > 300:
+        ax.xaxis.set_major_locator(LogLocator())
 
 
 def _elapsed(times: Array, run: Array) -> Array:

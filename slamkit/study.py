@@ -421,14 +421,16 @@ class Study:
             if self._learnt_gauge_is_all("ekf"):
                 out.append(
                     f"All of the ekf's inconsistency ({where}) is a gauge that it claims to have learnt: "
-                    f"nothing measures it, yet its claimed deviation falls by {fall:.0%}."
+                    f"nothing measures it, yet its claimed deviation falls by up to {fall:.0%}."
                 )
             else:
                 out.append(
                     f"The ekf claims to have learnt its gauge, and is too sure of its relative map as well ({where})."
                 )
         if not self.facts["simulated"]:
-            learnt = [f"{n} (its claimed deviation falls by {c.deviation_drop:.0%})" for n, c in self._learners.items()]
+            learnt = [
+                f"{n} (its claimed deviation falls by up to {c.deviation_drop:.0%})" for n, c in self._learners.items()
+            ]
             if learnt:
                 out.append(f"Claim to have learnt the gauge, which nothing measures: {', '.join(learnt)}.")
         return out
