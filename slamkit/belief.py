@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dgemm
+from scipy.linalg.lapack import dpstrf
 
 from slamkit import kernels
 from slamkit.compiled import ACTIVE, ACTIVE_THEN, COLUMNS, CORRECTED, ROWS, WHOLE, WHOLE_THEN, State
@@ -124,6 +125,8 @@ class Belief:
         self.slots: dict[Hashable, int] = {}
         self.storage = Storage() if storage is None else storage
         self._k, self._m = rows, control_dim
+        #: Dimension that the map is known to reach, so that its store need not grow.
+        self._expected = 0
         start = np.asarray(mean, dtype=float)
         self.base = b = len(start)
         #: L⁻¹ H P (r, D) of the last update, once the active part no longer holds it.
@@ -173,7 +176,6 @@ class Belief:
             rest_points=kept["rest_points"] if "rest_points" in kept else np.zeros(0),
             store=kept["store"] if "store" in kept else np.zeros(0),
             V=kept.get("V", nothing),
-            U=kept.get("U", nothing),
             pose=np.zeros(BASE),
             F=copied("F", (BASE, BASE)) if "F" in kept else np.eye(BASE),
             Q=copied("Q", (BASE, BASE)),
@@ -298,6 +300,13 @@ class Belief:
         self._m = m
         self._lay_out(s.fields, capacity, sightings, len(s.theta), room)
 
+    def expect(self, blocks: int) -> None:
+        """This many further blocks may come: a store that is made from now on has room for them, if the cap allows.
+
+        Memory that is not written to yet is none.
+        """
+        self._expected = self.dim + BLOCK * blocks
+
     def widen(self, slots: Indices) -> None:
         """Make room for the blocks at these slots of the map to become active, and for a new one for each slot -1.
 
@@ -390,12 +399,12 @@ class Belief:
             self._keep_gain(V[:whole])
             moved, cross = V[:whole] @ s.theta[:C], V[:whole] @ s.Phi[:D, :C].T
             V[owner] = 0.0
-            U = V @ self._Psi
+            V = V @ _half(self._Psi)
             # What may want for memory is done; from here on the belief changes.
             s.rest[:whole] += moved
             kernels.deposit(s, cross)
             s.rest[owner], s.rest_points[owner] = s.mean[:D], s.points[:D]
-            s.replace(V=V, U=U)
+            s.replace(V=V)
             s.size[CORRECTED] = 0
         if len(s.theta) < BASE:
             kept = {**s.fields, "cov": s.cov[:BASE, :BASE]}
@@ -422,7 +431,7 @@ class Belief:
         need, have = -(-whole // PANEL), len(s.rest) // PANEL
         if need > have:
             self.storage.afford(_packed(whole), f"the covariance of {(whole - self.base) // BLOCK} landmarks")
-            panels = max(need, 6 * have // 5)
+            panels = max(need, 6 * have // 5, -(-self._expected // PANEL))
             if _packed(PANEL * panels) > self.storage.cap:
                 panels = need
             grown = {n: np.zeros(PANEL * panels) for n in ("rest", "rest_points")}
@@ -445,11 +454,11 @@ class Belief:
             start = kernels.place(row, 0)
             panel = s.store[start : start + PANEL * width].reshape(PANEL, width)
             # BLAS sees the transpose, (width, PANEL) in its own order, and works in place.
-            dgemm(-1.0, s.U[:width].T, s.V[row:width].T, 1.0, panel.T, trans_a=True, overwrite_c=True)
+            dgemm(-1.0, s.V[:width].T, s.V[row:width].T, 1.0, panel.T, trans_a=True, overwrite_c=True)
             s.size[CORRECTED] = width
             spent += PANEL * width * rank
         if s.size[CORRECTED] >= whole:
-            s.replace(V=np.zeros((0, 0)), U=np.zeros((0, 0)))
+            s.replace(V=np.zeros((0, 0)))
 
     def _entries(self, rows: Indices, columns: Indices) -> Array:
         """P⁰[rows, columns] (…, p, q) of lists (…, p) and (…, q), as the last flush leaves it."""
@@ -458,7 +467,7 @@ class Belief:
         p = i // PANEL
         out: Array = s.store[PANEL * (p + 1) * (i - PANEL // 2 * p) + j]
         if self._pending:
-            out -= np.where(i >= s.size[CORRECTED], s.V[rows] @ s.U[columns].swapaxes(-1, -2), 0.0)
+            out -= np.where(i >= s.size[CORRECTED], s.V[rows] @ s.V[columns].swapaxes(-1, -2), 0.0)
         return out
 
     def _resting_rows(self, at: Indices) -> Array:
@@ -533,7 +542,7 @@ class Belief:
         V[: self.dim] = w.T
         dx = w.T @ s.t[:rows]
         with _undisturbed():
-            s.replace(V=V, U=V)
+            s.replace(V=V)
             s.size[CORRECTED] = 0
             self._correct_rows(None)
             s.rest[: self.dim] += dx
@@ -713,7 +722,7 @@ class Belief:
     def snapshot(self) -> dict[str, Any]:
         """Everything that `restore` needs to bring the belief back to the bit, unless it is flushed meanwhile."""
         D = self.active
-        fixed = ("cov", "gathered", "dx", "saved", "store", "rest", "rest_points", "V", "U")
+        fixed = ("cov", "gathered", "dx", "saved", "store", "rest", "rest_points", "V")
         whole = {n: np.array(v) for n, v in self.state.fields.items() if n not in fixed}
         return {**whole, "cov": np.array(self.state.cov[:D, :D]), "slots": dict(self.slots), "gain": self._whole_w}
 
@@ -749,6 +758,17 @@ def _undisturbed() -> Iterator[None]:
 def _vectors(n: int) -> int:
     """The least multiple of four ≥ n: compiled code works on whole vectors of four numbers."""
     return -(-n // 4) * 4
+
+
+def _half(A: Array) -> Array:
+    """B (n, r) with B Bᵀ = A, of the rank r of A (n, n), symmetric positive semidefinite."""
+    scale = np.sqrt(np.maximum(np.diag(A), 0.0))
+    inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0.0)
+    # With a diagonal of ones what is cut off is within rounding of every entry, whatever its unit.
+    L, order, rank, _ = dpstrf(inverse[:, None] * A * inverse, lower=1)
+    B = np.zeros((len(A), rank))
+    B[order - 1] = np.tril(L[:, :rank])
+    return np.asarray(scale[:, None] * B)
 
 
 def _packed(dim: int) -> int:

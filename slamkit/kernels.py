@@ -469,14 +469,14 @@ def place(i: int, j: int) -> Any:
 @compiled("void(state, index, vector)")
 def resting_row(state: Any, index: int, out: Any) -> None:
     """out ← P⁰[A₀, index], as the last flush leaves it even where it is not yet written."""
-    columns, store, V, U = state.columns, state.store, state.V, state.U
+    columns, store, V = state.columns, state.store, state.V
     pending = V.shape[1]
     for c in range(state.size[COLUMNS]):
         i, j = max(columns[c], index), min(columns[c], index)
         total = store[place(i, j)]
         if i >= state.size[CORRECTED]:
             for r in range(pending):
-                total -= V[i, r] * U[j, r]
+                total -= V[i, r] * V[j, r]
         out[c] = total
 
 
@@ -516,7 +516,7 @@ def activate(state: Any, slot: int) -> Any:
             total = state.store[place(i, j)]
             if i >= size[CORRECTED]:
                 for p in range(state.V.shape[1]):
-                    total -= state.V[i, p] * state.U[j, p]
+                    total -= state.V[i, p] * state.V[j, p]
             other = column if q == r else state.dx[:C]
             for p in range(C):
                 total += product[p] * other[p]
@@ -590,16 +590,24 @@ def pack(M: Any, n: int, store: Any) -> None:
 
 @compiled("void(vector, matrix)")
 def expand(store: Any, M: Any) -> None:
-    """M (n, n), symmetric, ← a packed triangle, block by block so that both triangles stay in the cache."""
+    """M (n, n), symmetric, ← a packed triangle; eight rows of M at a time take what stands above the diagonal."""
     n = M.shape[0]
-    for i in range(n):
-        start = place(i, 0)
-        M[i, : i + 1] = store[start : start + i + 1]
+    flat = M.reshape(n * n)
     for first in range(0, n, PANEL):
-        for left in range(0, first + 1, PANEL):
-            for i in range(first, min(first + PANEL, n)):
-                for j in range(left, min(left + PANEL, i)):
-                    M[j, i] = M[i, j]
+        width, last = first + PANEL, min(first + PANEL, n)
+        start = place(first, 0)
+        panel = store[start : start + PANEL * width]
+        for i in range(last - first):
+            M[first + i, : first + i + 1] = panel[i * width : i * width + first + i + 1]
+        for left in range(0, first, 8):
+            at = left * n + first
+            for i in range(last - first):
+                a = panel[i * width + left : i * width + left + 8]
+                for j in range(8):
+                    flat[at + j * n + i] = a[j]
+        for j in range(first, last):
+            for i in range(j + 1, last):
+                M[j, i] = panel[(i - first) * width + j]
 
 
 @compiled("void(vector, index, index)")

@@ -182,8 +182,7 @@ STATE_FIELDS = {
     "rest": vector,  # (whole,) mean as of the last flush
     "rest_points": vector,  # (whole,) likewise
     "store": vector,  # packed covariance as of the last flush, panel after panel
-    "V": matrix,  # (whole, C) Mᵀ of a flush that is under way, without the rows that were active
-    "U": matrix,  # (whole, C) Mᵀ Ψ likewise
+    "V": matrix,  # (whole, r) what a flush under way has yet to subtract is V Vᵀ; r = 0 where none is
     "pose": vector,  # (3,) the pose that the step arrives at
     "F": matrix,  # (3, 3)
     "Q": matrix,  # (3, 3)

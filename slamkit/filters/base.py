@@ -214,6 +214,7 @@ class LandmarkFilter:
         slot_of = np.array([self._belief.slots.get(i, -1) for i in log.landmark_ids], dtype=np.int64)
         unseen = int(np.count_nonzero(slot_of < 0))
         self._belief.reserve(0 if self.compresses else unseen, widest, exactly=True)
+        self._belief.expect(unseen)
         done, stretch, started = 0, 1, time.perf_counter()
         report = _reporter(progress, K)
         failure: SlamkitError | KeyboardInterrupt | None = None
