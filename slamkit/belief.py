@@ -188,7 +188,7 @@ class Belief:
             nis=np.zeros(sightings),
             truth=copied("truth", (sightings, BLOCK)),
             accepted=np.zeros(sightings, dtype=np.bool_),
-            saved=np.zeros(kernels.SMALL * (kernels.SMALL + 9) // 2 + 20),
+            saved=np.zeros(kernels.SMALL * (kernels.SMALL + 4) + 20),
             z=copied("z", (rows,)),
             z_hat=np.zeros(k),
             y=copied("y", (rows,)),

@@ -49,7 +49,7 @@ PANEL = 64
 #: arrays must have room up to a multiple of four columns.
 subtract_row, subtract_four_rows = intrinsics("vectors", "subtract_row", "subtract_four_rows")
 
-#: A belief up to this dimension is saved before a step rather than asked beforehand whether the step will work.
+#: A belief with room for no more than this is saved before a step, not asked beforehand whether the step will work.
 SMALL = 48
 
 
@@ -210,16 +210,13 @@ def absorb(state: Any, gate: float) -> Any:
     S10 = a * v0 + b * v1 + c * v2 + d * v3 + e * v4 + state.noise[1, 0]
     S11 = f * v0 + g * v1 + h * v2 + p * v3 + q * v4 + state.noise[1, 1]
     S[0, 0], S[0, 1], S[1, 0], S[1, 1] = S00, S10, S10, S11
-    if not (S00 > 0.0 and isfinite(S00)):
+    determinant = S00 * S11 - S10 * S10
+    if not (S00 > 0.0 and isfinite(S00) and determinant > 0.0 and isfinite(determinant)):
         return -1.0
-    L00 = sqrt(S00)
-    i0 = 1.0 / L00
-    L10 = S10 * i0
-    rest = S11 - L10 * L10
-    if not (rest > 0.0 and isfinite(rest)):
-        return -1.0
-    L11 = sqrt(rest)
-    i1 = 1.0 / L11
+    # Two roots, then two divisions, each pair side by side: nothing else here takes as long.
+    L00, root = sqrt(S00), sqrt(determinant)
+    i0, i1 = 1.0 / L00, L00 / root
+    L10, L11 = S10 * i0, root * i0
     L[0, 0], L[1, 0], L[1, 1] = L00, L10, L11
     t0 = y[0] * i0
     t1 = (y[1] - L10 * t0) * i1
@@ -624,46 +621,48 @@ def squeeze(store: Any, slot: int, n: int) -> None:
 # -- a small belief before a step -------------------------------------------------------------------------------------
 
 
+@compiled("void(vector, vector, index)")
+def copy_fours(source: Any, target: Any, n: int) -> None:
+    """Copy n entries, and up to three more: four at a time is a vector, which Numba does not see in a short loop."""
+    for i in range(0, n, 4):
+        a, b, c, d = source[i], source[i + 1], source[i + 2], source[i + 3]
+        target[i], target[i + 1], target[i + 2], target[i + 3] = a, b, c, d
+
+
 @compiled("void(state)")
 def save(state: Any) -> None:
     """Keep a small belief, nothing of which rests, and its last update, of at most two rows."""
-    saved, size = state.saved, state.size
+    saved, D, n = state.saved, state.size[ACTIVE], state.mean.shape[0]
     for i in range(6):
         saved[i] = state.memory[i]
-    at = 6
-    for i in range(size[ACTIVE]):
-        row, out = state.cov[i][: i + 1], saved[at : at + i + 5]
-        out[0], out[1], out[2], out[3] = state.mean[i], state.points[i], state.w[0, i], state.w[1, i]
-        for j in range(i + 1):
-            out[j + 4] = row[j]
-        at += i + 5
     for r in range(2):
-        out = saved[at : at + 7]
+        out = saved[6 + 7 * r : 13 + 7 * r]
         out[0], out[1], out[2] = state.z[r], state.y[r], state.t[r]
         out[3], out[4] = state.S[r, 0], state.S[r, 1]
         out[5], out[6] = state.L[r, 0], state.L[r, 1]
-        at += 7
+        copy_fours(state.w[r], saved[20 + r * n :], D)
+    copy_fours(state.mean, saved[20 + 2 * n :], D)
+    copy_fours(state.points, saved[20 + 3 * n :], D)
+    for i in range(D):
+        copy_fours(state.cov[i], saved[20 + (4 + i) * n :], i + 1)
 
 
 @compiled("void(state, index)")
 def undo(state: Any, D: int) -> None:
     """Bring back what `save` has kept of a belief of D dimensions."""
-    saved, size = state.saved, state.size
+    saved, size, n = state.saved, state.size, state.mean.shape[0]
     for i in range(6):
         state.memory[i] = saved[i]
-    at = 6
-    for i in range(D):
-        row, out = state.cov[i][: i + 1], saved[at : at + i + 5]
-        state.mean[i], state.points[i], state.w[0, i], state.w[1, i] = out[0], out[1], out[2], out[3]
-        for j in range(i + 1):
-            row[j] = out[j + 4]
-        at += i + 5
     for r in range(2):
-        out = saved[at : at + 7]
+        out = saved[6 + 7 * r : 13 + 7 * r]
         state.z[r], state.y[r], state.t[r] = out[0], out[1], out[2]
         state.S[r, 0], state.S[r, 1] = out[3], out[4]
         state.L[r, 0], state.L[r, 1] = out[5], out[6]
-        at += 7
+        copy_fours(saved[20 + r * n :], state.w[r], D)
+    copy_fours(saved[20 + 2 * n :], state.mean, D)
+    copy_fours(saved[20 + 3 * n :], state.points, D)
+    for i in range(D):
+        copy_fours(saved[20 + (4 + i) * n :], state.cov[i], i + 1)
     for i in range(D, size[ACTIVE]):
         state.local[i] = -1
     size[ACTIVE] = size[WHOLE] = D

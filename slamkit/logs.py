@@ -221,9 +221,10 @@ class Log:
             ot = ot.copy()
             ot[inside] = breaks[at[inside]]
         cuts = self._repeats(ot)
-        instants = np.union1d(breaks, ot)
-        times = np.sort(np.concatenate([instants, ot[cuts]]))
-        first = np.sort(np.concatenate([np.searchsorted(ot, instants), cuts]))
+        # Of what is nearly in order already a stable sort takes a few passes.
+        instants = _distinct(np.sort(np.concatenate([breaks, _distinct(ot)]), kind="stable"))
+        times = np.sort(np.concatenate([instants, ot[cuts]]), kind="stable")
+        first = np.sort(np.concatenate([np.searchsorted(ot, instants), cuts]), kind="stable")
         dt = np.diff(times, prepend=times[0])
         control = np.searchsorted(ct, times) - 1  # the last that begins before times[k]
         acts = (dt > 0) & (control >= 0) & (times <= end)
@@ -242,7 +243,7 @@ class Log:
         not depend on the order of `landmark_ids`.
         """
         ids, times = self.observation_ids, self.observation_times
-        if len(ids) < 2:
+        if not np.any((instants[1:] == instants[:-1]) & (ids[1:] <= ids[:-1])):
             return np.empty(0, dtype=np.int64)
         order = np.lexsort((ids, instants))
         same = (np.diff(instants[order]) == 0) & (np.diff(ids[order]) == 0)
@@ -928,6 +929,11 @@ def _write_texts(folder: Path, texts: Mapping[str, str]) -> None:
     for name, text in texts.items():
         with replacing(folder / name) as file:
             file.write(text.encode())
+
+
+def _distinct(values: Array) -> Array:
+    """Each value of a sorted array once."""
+    return values[np.append(True, values[1:] != values[:-1])[: len(values)]]
 
 
 def _nth_in_run(*columns: Array | IntArray) -> IntArray:

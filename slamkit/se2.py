@@ -30,9 +30,10 @@ def wrap(angle: ArrayLike) -> Array:
         The same angle in [-π, π) [rad].
     """
     a = np.asarray(angle, dtype=float)
-    # An angle that is in range already comes back to the bit: only the others pay the rounding of the modulo.
-    wrapped = np.mod(a + np.pi, 2 * np.pi) - np.pi
-    return np.where((a >= -np.pi) & (a < np.pi), a, np.where(wrapped >= np.pi, -np.pi, wrapped))
+    # An angle in range comes back to the bit; only one that is far from it is rounded by a modulo.
+    near = np.where(np.abs(a) > 3 * np.pi, np.mod(a + np.pi, 2 * np.pi) - np.pi, a)
+    wrapped = np.where(near < -np.pi, near + 2 * np.pi, np.where(near >= np.pi, near - 2 * np.pi, near))
+    return np.where(wrapped >= np.pi, -np.pi, wrapped)
 
 
 @compiled("real(real)")
@@ -40,7 +41,10 @@ def wrap_angle(a: float) -> float:
     """The angle of compiled code in [-π, π); one that is there already comes back to the bit."""
     if -pi <= a < pi:
         return a
-    wrapped = (a + pi) % (2.0 * pi) - pi
+    if abs(a) > 3.0 * pi:
+        a = (a + pi) % (2.0 * pi) - pi
+    # What else a sum of two angles may be needs no modulo, which takes ten times as long.
+    wrapped = a + 2.0 * pi if a < -pi else a - 2.0 * pi if a >= pi else a
     return -pi if wrapped >= pi else wrapped  # in this order NaN stays NaN
 
 

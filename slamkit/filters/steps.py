@@ -87,11 +87,12 @@ def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
     H_pose, H_landmark = state.H_pose, state.H_landmark
     kept = 0
     for j in range(n):
-        slots[kept], order[kept] = slots[j], order[j]
-        at[3 + 2 * kept], at[4 + 2 * kept] = at[3 + 2 * j], at[4 + 2 * j]
         first = kept * k
-        for r in range(k):
-            z[first + r] = z[j * k + r]
+        if kept < j:
+            slots[kept], order[kept] = slots[j], order[j]
+            at[3 + 2 * kept], at[4 + 2 * kept] = at[3 + 2 * j], at[4 + 2 * j]
+            for r in range(k):
+                z[first + r] = z[j * k + r]
         policy.sensor(models, state, at[:3], at[3 + 2 * kept : 5 + 2 * kept], slots[kept], z[first : first + k], first)
         total = 0.0
         for r in range(first, first + k):
@@ -101,6 +102,10 @@ def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
             kept += 1
         else:
             size[ODD] += 1
+            place = order[kept]
+            state.accepted[place], state.nis[place] = False, inf
+            for r in range(k):
+                state.innovations[place, r] = nan
     return kept
 
 
@@ -116,9 +121,8 @@ def screen(policy: Any, models: Any, state: Any, n: int) -> int:
         nis = forward(state.L, state.y, state.t, j * k, k)
         for r in range(k):
             state.innovations[place, r] = state.y[j * k + r]
-        state.nis[place] = nis
+        state.nis[place], state.accepted[place] = nis, nis <= policy.gate
         if nis <= policy.gate:
-            state.accepted[place] = True
             state.slots[kept], state.order[kept] = state.slots[j], state.order[j]
             if kept < j:
                 for r in range(k):
@@ -196,20 +200,15 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
     (Bell & Cathey, IEEE TAC 38(2), 1993: Gauss-Newton on the same cost).
     """
     k = models.R.shape[0]
-    for j in range(n):
-        place = state.order[j]
-        state.accepted[place], state.nis[place] = False, inf
-        for r in range(k):
-            state.innovations[place, r] = nan
     aim(state, n)
     n = linearise(policy, models, state, n)
     if n == 1 and k == 2 and policy.iterations == 1:
         nis, place = absorb(state, policy.gate), state.order[0]
         state.innovations[place, 0], state.innovations[place, 1], state.nis[place] = state.y[0], state.y[1], nis
+        state.accepted[place] = nis <= policy.gate
         if not nis <= policy.gate:
             refuse(state, 2)
             return OK
-        state.accepted[place] = True
         return NOT_DEFINITE if nis < 0.0 else settle(policy, state, 1, 2)
     project(state, n, k)
     kept = screen(policy, models, state, n)
@@ -384,7 +383,7 @@ def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z:
     size, D = state.size, state.size[ACTIVE]
     before = size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN]
     size[ODD] = 0
-    if size[COLUMNS] == 0 and D <= SMALL and size[ROWS] <= 2 and models.fused and not policy.batch:
+    if size[COLUMNS] == 0 and state.mean.shape[0] <= SMALL and size[ROWS] <= 2 and models.fused and not policy.batch:
         # To save so little is cheaper than to ask every sighting first; only where one fails they are asked after all.
         save(state)
         status = advance_and_take(policy, models, state, slots, z, dt)
