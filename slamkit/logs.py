@@ -933,7 +933,8 @@ def _write_texts(folder: Path, texts: Mapping[str, str]) -> None:
 
 def _distinct(values: Array) -> Array:
     """Each value of a sorted array once."""
-    return values[np.append(True, values[1:] != values[:-1])[: len(values)]]
+    changes = np.append(True, values[1:] != values[:-1])[: len(values)]
+    return np.asarray(values[changes])
 
 
 def _nth_in_run(*columns: Array | IntArray) -> IntArray:
