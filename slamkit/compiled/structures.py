@@ -234,6 +234,7 @@ POLICY_FIELDS = {
     "sensor": function(models, state, vector, vector, index, vector, index),
     "start": function(models, state, index, index, vector),
     "scan": function(models, state, integers, flag),
+    "correct": types.FunctionType(index(policy, models, state, index)),
     "retract": function(state),
     "report": function(state, vector, matrix),
     "gate": real,

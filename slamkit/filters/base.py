@@ -42,6 +42,7 @@ class PolicyFunctions(NamedTuple):
     sensor: Compiled = standard.sensor
     start: Compiled = standard.start
     scan: Compiled = standard.scan
+    correct: Compiled = steps.correct
     retract: Compiled = standard.retract
     report: Compiled = standard.report
 
@@ -241,7 +242,7 @@ class LandmarkFilter:
                     rows = slice(schedule.first[done], schedule.first[done + 1])
                     ids = [log.landmark_ids[i] for i in log.observation_ids[rows]]
                     u = controls[max(int(schedule.control[done]), 0)]
-                    failure = self._failure(u, ids, z[rows], f" at time {schedule.times[done]} s of the log")
+                    failure = self._failure(status, u, ids, z[rows], f" at time {schedule.times[done]} s of the log")
                 report(done)
         except (KeyboardInterrupt, MemoryCapError) as error:
             # An interrupt may come between a compiled stretch and the naming of the landmarks which that has started.
@@ -644,7 +645,7 @@ class LandmarkFilter:
         if status == steps.DUE:
             belief.tend()
         elif status != steps.OK:
-            raise self._failure(u, ids, z, "")
+            raise self._failure(status, u, ids, z, "")
 
     def _take_step(self, u: Array, dt: float, slots: NDArray[np.int64], z: Array) -> int:
         policy, models, state = self._policy, self._models, self._belief.state
@@ -663,7 +664,7 @@ class LandmarkFilter:
             self._belief.restore(before)
             raise
 
-    def _failure(self, u: Array, ids: Sequence[Hashable], z: Array, where: str) -> SlamkitError:
+    def _failure(self, status: int, u: Array, ids: Sequence[Hashable], z: Array, where: str) -> SlamkitError:
         """Why the last step was refused; asked only then, so a good step pays for no explanation."""
         state = self._belief.state
         bad = [(n, i) for n, i in enumerate(ids) if not np.all(np.isfinite(z[n]))]
@@ -682,7 +683,7 @@ class LandmarkFilter:
             name = type(self.motion).__name__
             return ModelError(f"{name} gave a pose, F or Q that is not finite for u = {u} at pose {pose}{where}")
         n = int(state.size[FAILING])
-        if n < len(ids):
+        if status == steps.BAD_SIGHTING:
             i, name = ids[n], type(self.sensor).__name__
             if i in self._belief.slots:
                 distance = float(np.hypot(*(self._belief.marginal([i])[0] - state.pose[:2])))

@@ -8,10 +8,10 @@ from slamkit.compiled import compiled
 from slamkit.errors import InputError
 from slamkit.filters import first_estimates
 from slamkit.filters.base import PolicyFunctions
+from slamkit.filters.sigma_points import motion as ukf_motion
+from slamkit.filters.sigma_points import sensor as ukf_sensor
+from slamkit.filters.sigma_points import start as ukf_start
 from slamkit.filters.ukf import UKFSLAM
-from slamkit.filters.ukf import motion as ukf_motion
-from slamkit.filters.ukf import sensor as ukf_sensor
-from slamkit.filters.ukf import start as ukf_start
 
 # No measurement sees N = [I, J q; 0 1; I, J cᵢ …], where ``state.points`` holds q, the last predicted position, and the
 # cᵢ, the landmarks' first estimates. With H = [H_p h_θ H_l] on the pose and one landmark, H N = 0 reads

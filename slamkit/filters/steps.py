@@ -11,6 +11,8 @@ estimator stands in its policy:
     writes a new landmark's mean, G_pose and the noise of its block; `place` is the sighting's place in the scan.
 ``scan(models, state, slots, moved)``
     is told which landmarks a scan holds (-1: not in the map) before it is taken, and whether a prediction preceded it.
+``correct(policy, models, state, n)``
+    makes one update by the n sightings in ``state.slots`` and ``state.z``: a status.
 ``retract(state)``
     moves the mean by dx, in the estimator's own error coordinates.
 ``report(state, pose, covariance)``
@@ -76,6 +78,15 @@ def first_bad(models: Any, state: Any, slots: Any, z: Any) -> int:
     return -1
 
 
+@compiled("void(state, index, index)")
+def drop(state: Any, place: int, k: int) -> None:
+    """The sighting at this place of the scan gave no finite numbers: it is refused."""
+    state.size[ODD] += 1
+    state.accepted[place], state.nis[place] = False, inf
+    for r in range(k):
+        state.innovations[place, r] = nan
+
+
 @compiled("index(policy, models, state, index)", generic=True)
 def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
     """Linearise the n sightings in ``state.slots`` at ``state.at``; how many of them gave finite numbers.
@@ -83,7 +94,7 @@ def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
     Those that did not (a landmark that an earlier sighting of the scan moved onto the robot) are refused.
     """
     k = models.R.shape[0]
-    slots, order, z, at, y, size = state.slots, state.order, state.z, state.at, state.y, state.size
+    slots, order, z, at, y = state.slots, state.order, state.z, state.at, state.y
     H_pose, H_landmark = state.H_pose, state.H_landmark
     kept = 0
     for j in range(n):
@@ -101,11 +112,7 @@ def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
         if isfinite(total):
             kept += 1
         else:
-            size[ODD] += 1
-            place = order[kept]
-            state.accepted[place], state.nis[place] = False, inf
-            for r in range(k):
-                state.innovations[place, r] = nan
+            drop(state, order[kept], k)
     return kept
 
 
@@ -192,6 +199,16 @@ def refuse(state: Any, rows: int) -> None:
     state.g[:rows, : size[COLUMNS]] = 0.0
 
 
+@compiled("index(state, index)")
+def dismiss(state: Any, rows: int) -> int:
+    """`refuse` all rows of an update that is not factored yet."""
+    if not cholesky(state.S, state.L, 0, rows):
+        return NOT_DEFINITE
+    forward(state.L, state.y, state.t, 0, rows)
+    refuse(state, rows)
+    return OK
+
+
 @compiled("index(policy, models, state, index)", generic=True)
 def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
     """One update by the n sightings in ``state.slots`` and ``state.z``, stacked.
@@ -215,11 +232,8 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
     if kept < 0:
         return NOT_DEFINITE
     if kept == 0:
-        if not cholesky(state.S, state.L, 0, n * k):
-            return NOT_DEFINITE
-        forward(state.L, state.y, state.t, 0, n * k)
-        refuse(state, n * k)
-        return OK
+        return dismiss(state, n * k)
+    factored = kept == n == 1  # by `screen`, and t is there as well
     if kept < n:
         n = kept
         aim(state, n)
@@ -229,8 +243,7 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
     for r in range(rows):
         state.effective[r] = state.y[r]
     for iteration in range(policy.iterations):
-        # Of a single sighting `screen` has the factor and t already.
-        if n > 1 or iteration > 0:
+        if not factored or iteration > 0:
             if not cholesky(state.S, state.L, 0, rows):
                 return NOT_DEFINITE
             forward(state.L, state.effective, state.t, 0, rows)
@@ -275,7 +288,7 @@ def take(policy: Any, models: Any, state: Any, slots: Any, z: Any, moved: bool) 
                 state.z[known * k : (known + 1) * k] = z[i]
                 known += 1
         if known > 0:
-            status = correct(policy, models, state, known)
+            status = policy.correct(policy, models, state, known)
             if status != OK:
                 return status
         for i in range(n):
@@ -287,7 +300,7 @@ def take(policy: Any, models: Any, state: Any, slots: Any, z: Any, moved: bool) 
             state.slots[0], state.order[0] = slots[i], i
             for r in range(k):
                 state.z[r] = z[i, r]
-            status = correct(policy, models, state, 1)
+            status = policy.correct(policy, models, state, 1)
             if status != OK:
                 return status
         else:

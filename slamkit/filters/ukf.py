@@ -2,257 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from math import cos, sin, sqrt
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import ArrayLike, NDArray
 
-from slamkit import kernels, se2
-from slamkit.compiled import FAILING, STATUS, Compiled, compiled
 from slamkit.errors import InputError
-from slamkit.filters import steps
 from slamkit.filters.base import LandmarkFilter, PolicyFunctions
+from slamkit.filters.sigma_points import (
+    PROBE,
+    moments,
+    motion,
+    sensor,
+    spread,
+    start,
+    whole_columns,
+    whole_correct,
+    whole_motion,
+    whole_start,
+)
 from slamkit.protocols import MotionModel, SensorModel
-from slamkit.se2 import wrap_angle
 
 Array = NDArray[np.float64]
-
-# Sigma points x ± s T lᵢ, where lᵢ are the columns of chol(Tᵀ P T) and T turns positions into robot axes: with the
-# root taken there the filter does not depend on the choice of the world's axes. With half = (f₊ - f₋)/2s and the
-# weights of van der Merwe, the regression of f on x is H̄ T L = [half₁ … half_n]; the mean of f is f₀ + m.
-# ``state.memory[:3]`` holds α, β, κ.
-
-#: A direction of the state without uncertainty is probed at this distance [m, rad], so that the regression exists
-#: there too. The covariance is not touched: it multiplies what is found in this direction by zero.
-PROBE = 1e-6
-
-
-@compiled("void(matrix, matrix, index, real)")
-def root(P: Any, L: Any, n: int, floor: float) -> None:
-    """L ← lower Cholesky factor of a positive semidefinite P (n, n), its pivots not below `floor`."""
-    for i in range(n):
-        for j in range(n):
-            L[i, j] = 0.0
-    for j in range(n):
-        s = P[j, j]
-        for q in range(j):
-            s -= L[j, q] * L[j, q]
-        if s <= floor * floor:
-            L[j, j] = floor
-            continue
-        L[j, j] = sqrt(s)
-        for i in range(j + 1, n):
-            s = P[i, j]
-            for q in range(j):
-                s -= L[i, q] * L[j, q]
-            L[i, j] = s / L[j, j]
-
-
-@compiled("void(matrix, matrix, matrix, index, index)")
-def unwhiten(half: Any, L: Any, out: Any, rows: int, n: int) -> None:
-    """out ← half L⁻¹ for a lower triangular L (n, n)."""
-    for r in range(rows):
-        for i in range(n - 1, -1, -1):
-            s = half[r, i]
-            for j in range(i + 1, n):
-                s -= out[r, j] * L[j, i]
-            out[r, i] = s / L[i, i]
-
-
-@compiled("void(matrix, matrix, matrix, matrix, vector, vector, index, index)")
-def moments(plus: Any, minus: Any, half: Any, extra: Any, mean: Any, memory: Any, rows: int, n: int) -> None:
-    """From differences to f₀ at the sigma points (n, rows): shift of the mean, half differences, regression error.
-
-    extra = P_ff - (H̄ T L)(H̄ T L)ᵀ, what a linear function of x cannot explain of f.
-    """
-    alpha, beta, kappa = memory[0], memory[1], memory[2]
-    spread = alpha * alpha * (n + kappa)
-    s = sqrt(spread)
-    weight = 0.5 / spread
-    centre = (spread - n) / spread + 1.0 - alpha * alpha + beta
-    for r in range(rows):
-        mean[r] = 0.0
-        for i in range(n):
-            mean[r] += weight * (plus[i, r] + minus[i, r])
-            half[r, i] = 0.5 * (plus[i, r] - minus[i, r]) / s
-    for r in range(rows):
-        for q in range(rows):
-            total = centre * mean[r] * mean[q]
-            for i in range(n):
-                total += weight * (
-                    (plus[i, r] - mean[r]) * (plus[i, q] - mean[q]) + (minus[i, r] - mean[r]) * (minus[i, q] - mean[q])
-                )
-                total -= half[r, i] * half[q, i]
-            extra[r, q] = total
-
-
-@compiled("real(vector, index)")
-def spread(memory: Any, n: int) -> float:
-    """How many standard deviations the sigma points lie from the mean: α √(n + κ)."""
-    return float(memory[0] * sqrt(n + memory[2]))
-
-
-@compiled("void(state, index, matrix)")
-def local_root(state: Any, slot: int, L: Any) -> None:
-    """L ← root in robot axes of the covariance of the pose, and of the landmark at `slot` unless that is 0."""
-    n = 5 if slot > 0 else 3
-    P, cov = np.empty((5, 5)), state.cov
-    for i in range(3):
-        for j in range(i + 1):
-            P[i, j] = P[j, i] = cov[i, j]
-    for a in range(n - 3):
-        for j in range(3):
-            P[3 + a, j] = P[j, 3 + a] = cov[slot + a, j]
-        for b in range(a + 1):
-            P[3 + a, 3 + b] = P[3 + b, 3 + a] = cov[slot + a, slot + b]
-    turn_rows(P, n, -state.mean[2])
-    turn_columns(P, n, n, -state.mean[2])
-    root(P, L, n, PROBE)
-
-
-@compiled("void(matrix, index, real)")
-def turn_rows(M: Any, n: int, angle: float) -> None:
-    """Rotate rows (0, 1), and (3, 4) where there are 5, by `angle`: diag(R, 1, R) M."""
-    c, s = cos(angle), sin(angle)
-    for k in range(0, n - 1, 3):
-        for j in range(M.shape[1]):
-            x, y = M[k, j], M[k + 1, j]
-            M[k, j], M[k + 1, j] = c * x - s * y, s * x + c * y
-
-
-@compiled("void(matrix, index, index, real)")
-def turn_columns(M: Any, rows: int, n: int, angle: float) -> None:
-    """Rotate columns likewise: M diag(R, 1, R)ᵀ."""
-    c, s = cos(angle), sin(angle)
-    for i in range(rows):
-        for k in range(0, n - 1, 3):
-            x, y = M[i, k], M[i, k + 1]
-            M[i, k], M[i, k + 1] = c * x - s * y, s * x + c * y
-
-
-@compiled("void(models, state, vector, real)", generic=True)
-def motion(models: Any, state: Any, u: Any, dt: float) -> None:
-    """Regression over sigma points of the pose and the control's noise: F = P_x'x P_xx⁻¹, Q the rest."""
-    m = u.shape[0]
-    n = 3 + m
-    pose, params = state.mean[:3], models.motion_params
-    L, columns, L_u = np.zeros((5, 5)), np.empty((3, 3)), np.empty((m, m))
-    local_root(state, 0, L)
-    columns[:, :] = L[:3, :3]
-    turn_rows(columns, 3, pose[2])
-    models.control_noise(u, dt, params, state.sigma_u)
-    root(state.sigma_u, L_u, m, 0.0)
-    s = spread(state.memory, n)
-    centre, moved, noisy = np.empty(3), np.empty(3), np.empty(m)
-    models.move(pose, u, dt, params, centre)
-    plus, minus = np.empty((n, 3)), np.empty((n, 3))
-    for i in range(n):
-        for side in range(2):
-            step = s if side == 0 else -s
-            out = plus[i] if side == 0 else minus[i]
-            noisy[:] = u
-            point = pose.copy()
-            if i < 3:
-                for j in range(3):
-                    point[j] += step * columns[j, i]
-            else:
-                for j in range(m):
-                    noisy[j] += step * L_u[j, i - 3]
-            models.move(point, noisy, dt, params, moved)
-            out[0], out[1], out[2] = moved[0] - centre[0], moved[1] - centre[1], wrap_angle(moved[2] - centre[2])
-    half, error, mean = np.empty((3, n)), np.empty((3, 3)), np.empty(3)
-    moments(plus, minus, half, error, mean, state.memory, 3, n)
-    unwhiten(half, L, state.F, 3, 3)
-    turn_columns(state.F, 3, 3, pose[2])
-    for j in range(3):
-        state.pose[j] = centre[j] + mean[j]
-    state.pose[2] = wrap_angle(state.pose[2])
-    # The regression explains what comes from the pose; the control's share of the spread is noise.
-    models.pose_noise(pose, u, dt, params, state.Q)
-    for i in range(3):
-        for j in range(3):
-            state.Q[i, j] += error[i, j]
-            for a in range(3, n):
-                state.Q[i, j] += half[i, a] * half[j, a]
-
-
-@compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
-def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
-    """Regression over sigma points of the pose and this landmark: H = P_xzᵀ P⁻¹, its error added to the noise."""
-    k = z.shape[0]
-    params = models.sensor_params
-    L, columns, out = np.zeros((5, 5)), np.empty((5, 5)), np.empty((k, 5))
-    local_root(state, slot, L)
-    columns[:, :] = L
-    turn_rows(columns, 5, pose[2])
-    s = spread(state.memory, 5)
-    at_mean, predicted = np.empty(k), np.empty(k)
-    models.predict(pose, landmark, params, at_mean)
-    plus, minus, point = np.empty((5, k)), np.empty((5, k)), np.empty(5)
-    for i in range(5):
-        for side in range(2):
-            step = s if side == 0 else -s
-            for j in range(3):
-                point[j] = pose[j] + step * columns[j, i]
-            for j in range(2):
-                point[3 + j] = landmark[j] + step * columns[3 + j, i]
-            models.predict(point[:3], point[3:], params, predicted)
-            models.residual(predicted, at_mean, params, plus[i] if side == 0 else minus[i])
-    half, error, mean = np.empty((k, 5)), np.empty((k, k)), np.empty(k)
-    moments(plus, minus, half, error, mean, state.memory, k, 5)
-    unwhiten(half, L, out, k, 5)
-    turn_columns(out, k, 5, pose[2])
-    for r in range(k):
-        state.H_pose[row + r] = out[r, :3]
-        state.H_landmark[row + r] = out[r, 3:]
-        state.z_hat[r] = at_mean[r] + mean[r]
-        for q in range(k):
-            state.noise[row + r, q] = models.R[r, q] + error[r, q]
-    models.residual(z, state.z_hat, params, state.y[row : row + k])
-
-
-@compiled("void(models, state, index, index, vector)", generic=True)
-def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
-    """Regression over sigma points of the pose and the measurement's noise."""
-    k = z.shape[0]
-    n = 3 + k
-    pose, params = state.mean[:3], models.sensor_params
-    L, columns, L_z = np.zeros((5, 5)), np.empty((3, 3)), np.empty((k, k))
-    local_root(state, 0, L)
-    columns[:, :] = L[:3, :3]
-    turn_rows(columns, 3, pose[2])
-    root(models.R, L_z, k, 0.0)
-    s = spread(state.memory, n)
-    centre, point, noisy, plus, minus = np.empty(2), np.empty(3), np.empty(k), np.empty((n, 2)), np.empty((n, 2))
-    models.invert(pose, z, params, centre)
-    for i in range(n):
-        for side in range(2):
-            step = s if side == 0 else -s
-            out = plus[i] if side == 0 else minus[i]
-            point[:] = pose
-            noisy[:] = z
-            if i < 3:
-                for j in range(3):
-                    point[j] += step * columns[j, i]
-            else:
-                for j in range(k):
-                    noisy[j] += step * L_z[j, i - 3]
-            models.invert(point, noisy, params, out)
-            for j in range(2):
-                out[j] -= centre[j]
-    half, error, mean = np.empty((2, n)), np.empty((2, 2)), np.empty(2)
-    moments(plus, minus, half, error, mean, state.memory, 2, n)
-    unwhiten(half, L, state.G_pose, 2, 3)
-    turn_columns(state.G_pose, 2, 3, pose[2])
-    for i in range(2):
-        state.mean[slot + i] = centre[i] + mean[i]
-        for j in range(2):
-            state.block[i, j] = error[i, j]
-            for a in range(3, n):
-                state.block[i, j] += half[i, a] * half[j, a]
 
 
 class Fit(NamedTuple):
@@ -262,6 +35,9 @@ class Fit(NamedTuple):
     mean: Array  #: (r,) shift of its mean from there
     half: Array  #: (r, n) its covariance with the whitened state
     error: Array  #: (r, r) covariance that the regression does not explain
+
+
+_WHOLE = PolicyFunctions(motion=whole_motion, start=whole_start, correct=whole_correct)
 
 
 class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, override]  # properties here
@@ -325,6 +101,8 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         if not (0 < alpha <= 1 and kappa > -1 and np.isfinite(beta) and np.isfinite(kappa)):
             raise InputError(f"alpha, beta, kappa are {alpha}, {beta}, {kappa}; expected 0 < alpha ≤ 1 and kappa > -1")
         self.compresses = sigma_points == "partial"
+        if sigma_points == "full":
+            self.functions = _WHOLE  # type: ignore[misc]  # of this filter alone
         super().__init__(motion, sensor, pose, pose_covariance, order, **options)
         self.sigma_points, self.alpha, self.beta, self.kappa = sigma_points, alpha, beta, kappa
         self._belief.state.memory[:3] = alpha, beta, kappa
@@ -408,14 +186,10 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
 
     def _columns(self, floor: float = 0.0) -> Array:
         """Root (D, D) of P, taken in robot axes; a floor makes it invertible, for a regression and nothing else."""
-        D = self.dim_x
-        T = np.eye(D)
-        C = se2.rotation(self._belief.state.mean[2])
-        for k in (0, *range(3, D, 2)):
-            T[k : k + 2, k : k + 2] = C
-        L = np.empty((D, D))
-        root(np.ascontiguousarray(T.T @ self._belief.covariance @ T), L, D, floor)
-        return np.asarray(T @ L)
+        C = np.empty((self.dim_x, self.dim_x))
+        self._belief.flush()
+        whole_columns(self._belief.state, self.dim_x, floor, C)
+        return C
 
     def _fit(
         self, f: Callable[[Array], Array], subtract: Callable[[Any, Any], Array], columns: Array, x: Array | None = None
@@ -430,160 +204,8 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
             minus = np.array([subtract(f(x - d), centre) for d in steps_])
         r = plus.shape[1]
         fit = Fit(centre, np.empty(r), np.empty((r, n)), np.empty((r, r)))
-        moments(plus, minus, fit.half, fit.error, fit.mean, memory, r, n)
+        moments(plus, minus, fit.half, fit.error, fit.mean, memory, r, n, n)
         return fit
-
-    def _take_step(self, u: Array, dt: float, slots: NDArray[np.int64], z: Array) -> int:
-        if self.sigma_points == "partial":
-            return super()._take_step(u, dt, slots, z)
-        # Python appends the landmarks here, so there must be room for them first.
-        self._belief.reserve(len(slots), len(slots))
-        return self._whole_step(u, dt, slots, z)
-
-    def _guarded(self, step: Compiled, *arguments: Any) -> int:
-        if self.sigma_points == "partial":
-            return super()._guarded(step, *arguments)
-        controls, dt, control, first, which, slot_of, z, _, _, begin_at, end_at, *records = arguments
-        poses, covariances, innovations, nis, accepted = records
-        state = self._belief.state
-        for i in range(begin_at, end_at):
-            rows = slice(first[i], first[i + 1])
-            slots = slot_of[which[rows]]
-            status = self._whole_step(controls[max(control[i], 0)], dt[i], slots, z[rows])
-            slot_of[which[rows]] = slots
-            state.size[STATUS] = status
-            if status != steps.OK:
-                return i
-            self._policy.report(state, poses[i], covariances[i])
-            n = len(slots)
-            innovations[rows], nis[rows], accepted[rows] = state.innovations[:n], state.nis[:n], state.accepted[:n]
-        return int(end_at)
-
-    def _whole_step(self, u: Array, dt: float, slots: NDArray[np.int64], z: Array) -> int:
-        """A step with sigma points over the whole state; the slots of new landmarks are written."""
-        belief, state = self._belief, self._belief.state
-        before = belief.snapshot()
-        slots_before = slots.copy()
-        try:
-            if dt > 0 and not self._whole_predict(u, dt):
-                belief.restore(before)
-                return steps.BAD_MOTION
-            state.pose[:] = state.mean[:3]
-            bad = self._first_bad(slots, z)
-            if bad >= 0:
-                belief.restore(before)
-                state.size[FAILING] = bad
-                return steps.BAD_SIGHTING
-            self._whole_scan(slots, z)
-        except Exception:
-            belief.restore(before)
-            slots[:] = slots_before
-            raise
-        return steps.OK
-
-    def _ask(self, function: str, shape: int | tuple[int, int], *arguments: Any) -> Array:
-        """One of the models' functions, its result checked as every filter checks it."""
-        out = np.empty(shape)
-        motion = function in ("move", "control_noise", "pose_noise")
-        params = self._models.motion_params if motion else self._models.sensor_params
-        getattr(self._models, function)(*arguments, params, out)
-        return out
-
-    def _residual(self, z: Array, z_hat: Array) -> Array:
-        return self._ask("residual", self.dim_z, z, z_hat)
-
-    def _first_bad(self, slots: NDArray[np.int64], z: Array) -> int:
-        pose = self._belief.state.mean[:3]
-        for i, slot in enumerate(slots):
-            at = self._belief.state.mean[slot : slot + 2] if slot >= 0 else self._ask("invert", 2, pose, z[i])
-            if not np.all(np.isfinite(self._residual(z[i], self._ask("predict", self.dim_z, pose, at)))):
-                return i
-        return -1
-
-    def _whole_predict(self, u: Array, dt: float) -> bool:
-        belief, state, m = self._belief, self._belief.state, len(u)
-        D, x, columns = belief.dim, belief.mean, self._columns()
-        sigma_u = self._ask("control_noise", (m, m), u, dt)
-        L_u = np.empty((m, m))
-        root(sigma_u, L_u, m, 0.0)
-        both = np.zeros((D + m, D + m))
-        both[:D, :D], both[D:, D:] = columns, L_u
-
-        def turn(a: Array, b: Array) -> Array:
-            d = np.asarray(a - b)
-            d[2] = se2.wrap(d[2])
-            return d
-
-        fit = self._fit(lambda s: self._ask("move", 3, s[:3], s[D:], dt), turn, both, np.append(x, u))
-        noise = fit.error + self._ask("pose_noise", (3, 3), x[:3], u, dt)
-        pose = fit.centre + fit.mean
-        if not (np.all(np.isfinite(pose)) and np.all(np.isfinite(fit.half)) and np.all(np.isfinite(noise))):
-            state.pose[:] = pose
-            return False
-        half = np.vstack([fit.half, both[3:D]])
-        P = half @ half.T
-        # The landmarks do not move: their block is what it was, not what the root makes of it.
-        P[3:, 3:] = belief.covariance[3:, 3:]
-        P[:3, :3] += noise
-        pose[2] = se2.wrap(pose[2])
-        state.mean[:3] = pose
-        belief.covariance = (P + P.T) / 2
-        state.F[:] = fit.half[:, :3] @ np.linalg.pinv(columns[:3, :3])
-        state.Q[:] = noise + fit.half[:, D:] @ fit.half[:, D:].T
-        return True
-
-    def _whole_scan(self, slots: NDArray[np.int64], z: Array) -> None:
-        state = self._belief.state
-        known = [i for i, s in enumerate(slots) if s >= 0]
-        for i in range(len(slots)):
-            state.innovations[i], state.nis[i], state.accepted[i] = np.nan, np.nan, slots[i] < 0
-        for group in ([known] if known else []) if self.order == "batch" else []:
-            self._whole_update(group, slots, z)
-        for i in range(len(slots)):
-            if slots[i] < 0:
-                slots[i] = self._whole_start(z[i])
-            elif self.order != "batch":
-                self._whole_update([i], slots, z)
-
-    def _whole_update(self, group: Sequence[int], slots: NDArray[np.int64], z: Array) -> None:
-        k, belief, columns = self.dim_z, self._belief, self._columns()
-
-        def h(x: Array) -> Array:
-            return np.concatenate([self._ask("predict", k, x[:3], x[slots[i] : slots[i] + 2]) for i in group])
-
-        def subtract(a: Array, b: Array) -> Array:
-            pairs = zip(a.reshape(-1, k), b.reshape(-1, k), strict=True)
-            return np.concatenate([self._residual(*pair) for pair in pairs])
-
-        fit = self._fit(h, subtract, columns)
-        S = fit.half @ fit.half.T + fit.error + np.kron(np.eye(len(group)), np.asarray(self.sensor.R))
-        y = subtract(z[list(group)].ravel(), fit.centre + fit.mean)
-        kept = []
-        for j, i in enumerate(group):
-            rows = slice(j * k, (j + 1) * k)
-            nis = float(y[rows] @ np.linalg.solve(S[rows, rows], y[rows]))
-            state = belief.state
-            state.innovations[i], state.nis[i] = y[rows], nis
-            state.accepted[i] = self.gate is None or nis <= self.gate
-            kept += [j] if state.accepted[i] else []
-        if len(kept) < len(group):
-            if kept:
-                self._whole_update([group[j] for j in kept], slots, z)
-            return
-        belief.gain_of(columns @ fit.half.T, S, y)
-        state = belief.state
-        state.z[: len(y)] = z[list(group)].ravel()
-        kernels.downdate(state, len(y))
-        self._policy.retract(state)
-
-    def _whole_start(self, z: Array) -> int:
-        belief, k, columns = self._belief, self.dim_z, self._columns()
-        D, L_z = belief.dim, np.empty((k, k))
-        root(np.array(self.sensor.R, dtype=float), L_z, k, 0.0)
-        both = np.zeros((D + k, D + k))
-        both[:D, :D], both[D:, D:] = columns, L_z
-        fit = self._fit(lambda s: self._ask("invert", 2, s[:3], s[D:]), np.subtract, both, np.append(belief.mean, z))
-        return belief.append(fit.centre + fit.mean, fit.half[:, :D] @ columns.T, fit.half @ fit.half.T + fit.error)
 
     def _facts(self) -> dict[str, Any]:
         return {"sigma_points": self.sigma_points, "alpha": self.alpha, "beta": self.beta, "kappa": self.kappa}

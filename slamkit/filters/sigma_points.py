@@ -1,0 +1,399 @@
+"""What the unscented filters compile: roots, moments, and the regressions that stand where others have Jacobians."""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt
+from typing import Any
+
+import numpy as np
+
+from slamkit.compiled import ACTIVE, compiled
+from slamkit.filters.steps import NOT_DEFINITE, dismiss, drop, screen, settle
+from slamkit.kernels import cholesky, forward, is_finite, whiten
+from slamkit.se2 import wrap_angle
+
+# Sigma points x ± s T lᵢ, where lᵢ are the columns of chol(Tᵀ P T) and T turns positions into robot axes: with the
+# root taken there the filter does not depend on the choice of the world's axes. With half = (f₊ - f₋)/2s and the
+# weights of van der Merwe, the regression of f on x is H̄ T L = [half₁ … half_n]; the mean of f is f₀ + m.
+# ``state.memory[:3]`` holds α, β, κ.
+
+#: A direction of the state without uncertainty is probed at this distance [m, rad], so that the regression exists
+#: there too. The covariance is not touched: it multiplies what is found in this direction by zero.
+PROBE = 1e-6
+
+
+@compiled("void(matrix, matrix, index, real)")
+def root(P: Any, L: Any, n: int, floor: float) -> None:
+    """L ← lower Cholesky factor of a positive semidefinite P (n, n), its pivots not below `floor`."""
+    for i in range(n):
+        for j in range(n):
+            L[i, j] = 0.0
+    for j in range(n):
+        s = P[j, j]
+        for q in range(j):
+            s -= L[j, q] * L[j, q]
+        if s <= floor * floor:
+            L[j, j] = floor
+            continue
+        L[j, j] = sqrt(s)
+        for i in range(j + 1, n):
+            s = P[i, j]
+            for q in range(j):
+                s -= L[i, q] * L[j, q]
+            L[i, j] = s / L[j, j]
+
+
+@compiled("void(matrix, matrix, matrix, index, index)")
+def unwhiten(half: Any, L: Any, out: Any, rows: int, n: int) -> None:
+    """out ← half L⁻¹ for a lower triangular L (n, n)."""
+    for r in range(rows):
+        for i in range(n - 1, -1, -1):
+            s = half[r, i]
+            for j in range(i + 1, n):
+                s -= out[r, j] * L[j, i]
+            out[r, i] = s / L[i, i]
+
+
+@compiled("void(matrix, matrix, matrix, matrix, vector, vector, index, index, index)")
+def moments(
+    plus: Any, minus: Any, half: Any, extra: Any, mean: Any, memory: Any, rows: int, n: int, total: int
+) -> None:
+    """From differences to f₀ at the sigma points (n, rows): shift of the mean, half differences, regression error.
+
+    extra = P_ff - (H̄ T L)(H̄ T L)ᵀ, what a linear function of x cannot explain of f. In the further directions, up to
+    `total`, f does not change.
+    """
+    alpha, beta, kappa = memory[0], memory[1], memory[2]
+    spread = alpha * alpha * (total + kappa)
+    s = sqrt(spread)
+    weight = 0.5 / spread
+    # The centre's own weight, and that of the points at which f is what it is there.
+    centre = (spread - total) / spread + 1.0 - alpha * alpha + beta + 2.0 * weight * (total - n)
+    for r in range(rows):
+        mean[r] = 0.0
+        for i in range(n):
+            mean[r] += weight * (plus[i, r] + minus[i, r])
+            half[r, i] = 0.5 * (plus[i, r] - minus[i, r]) / s
+    for r in range(rows):
+        for q in range(rows):
+            error = centre * mean[r] * mean[q]
+            for i in range(n):
+                error += weight * (
+                    (plus[i, r] - mean[r]) * (plus[i, q] - mean[q]) + (minus[i, r] - mean[r]) * (minus[i, q] - mean[q])
+                )
+                error -= half[r, i] * half[q, i]
+            extra[r, q] = error
+
+
+@compiled("real(vector, index)")
+def spread(memory: Any, n: int) -> float:
+    """How many standard deviations the sigma points lie from the mean: α √(n + κ)."""
+    return float(memory[0] * sqrt(n + memory[2]))
+
+
+@compiled("void(state, index, matrix)")
+def local_root(state: Any, slot: int, L: Any) -> None:
+    """L ← root in robot axes of the covariance of the pose, and of the landmark at `slot` unless that is 0."""
+    n = 5 if slot > 0 else 3
+    P, cov = np.empty((5, 5)), state.cov
+    for i in range(3):
+        for j in range(i + 1):
+            P[i, j] = P[j, i] = cov[i, j]
+    for a in range(n - 3):
+        for j in range(3):
+            P[3 + a, j] = P[j, 3 + a] = cov[slot + a, j]
+        for b in range(a + 1):
+            P[3 + a, 3 + b] = P[3 + b, 3 + a] = cov[slot + a, slot + b]
+    turn_rows(P, n, -state.mean[2])
+    turn_columns(P, n, n, -state.mean[2])
+    root(P, L, n, PROBE)
+
+
+@compiled("void(matrix, index, real)")
+def turn_rows(M: Any, n: int, angle: float) -> None:
+    """Rotate rows (0, 1), (3, 4), (5, 6), … of the first n by `angle`: diag(R, 1, R, …) M."""
+    c, s = cos(angle), sin(angle)
+    for pair in range((n - 1) // 2):
+        k = 2 * pair + 1 if pair > 0 else 0
+        for j in range(M.shape[1]):
+            x, y = M[k, j], M[k + 1, j]
+            M[k, j], M[k + 1, j] = c * x - s * y, s * x + c * y
+
+
+@compiled("void(matrix, index, index, real)")
+def turn_columns(M: Any, rows: int, n: int, angle: float) -> None:
+    """Rotate columns likewise: M diag(R, 1, R, …)ᵀ."""
+    c, s = cos(angle), sin(angle)
+    for i in range(rows):
+        for pair in range((n - 1) // 2):
+            k = 2 * pair + 1 if pair > 0 else 0
+            x, y = M[i, k], M[i, k + 1]
+            M[i, k], M[i, k + 1] = c * x - s * y, s * x + c * y
+
+
+@compiled("void(models, state, vector, real, index)", generic=True)
+def regress_motion(models: Any, state: Any, u: Any, dt: float, total: int) -> None:
+    """Regression over sigma points of the pose and the control's noise: F = P_x'x P_xx⁻¹, Q the rest.
+
+    They are among those of `total` dimensions, in whose others nothing moves.
+    """
+    m = u.shape[0]
+    n = 3 + m
+    pose, params = state.mean[:3], models.motion_params
+    L, columns, L_u = np.zeros((5, 5)), np.empty((3, 3)), np.empty((m, m))
+    local_root(state, 0, L)
+    columns[:, :] = L[:3, :3]
+    turn_rows(columns, 3, pose[2])
+    models.control_noise(u, dt, params, state.sigma_u)
+    root(state.sigma_u, L_u, m, 0.0)
+    s = spread(state.memory, total)
+    centre, moved, noisy = np.empty(3), np.empty(3), np.empty(m)
+    models.move(pose, u, dt, params, centre)
+    plus, minus = np.empty((n, 3)), np.empty((n, 3))
+    for i in range(n):
+        for side in range(2):
+            step = s if side == 0 else -s
+            out = plus[i] if side == 0 else minus[i]
+            noisy[:] = u
+            point = pose.copy()
+            if i < 3:
+                for j in range(3):
+                    point[j] += step * columns[j, i]
+            else:
+                for j in range(m):
+                    noisy[j] += step * L_u[j, i - 3]
+            models.move(point, noisy, dt, params, moved)
+            out[0], out[1], out[2] = moved[0] - centre[0], moved[1] - centre[1], wrap_angle(moved[2] - centre[2])
+    half, error, mean = np.empty((3, n)), np.empty((3, 3)), np.empty(3)
+    moments(plus, minus, half, error, mean, state.memory, 3, n, total)
+    unwhiten(half, L, state.F, 3, 3)
+    turn_columns(state.F, 3, 3, pose[2])
+    for j in range(3):
+        state.pose[j] = centre[j] + mean[j]
+    state.pose[2] = wrap_angle(state.pose[2])
+    # The regression explains what comes from the pose; the control's share of the spread is noise.
+    models.pose_noise(pose, u, dt, params, state.Q)
+    for i in range(3):
+        for j in range(3):
+            state.Q[i, j] += error[i, j]
+            for a in range(3, n):
+                state.Q[i, j] += half[i, a] * half[j, a]
+
+
+@compiled("void(models, state, vector, real)", generic=True)
+def motion(models: Any, state: Any, u: Any, dt: float) -> None:
+    """Sigma points of the pose and the control's noise."""
+    regress_motion(models, state, u, dt, 3 + u.shape[0])
+
+
+@compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
+def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
+    """Regression over sigma points of the pose and this landmark: H = P_xzᵀ P⁻¹, its error added to the noise."""
+    k = z.shape[0]
+    params = models.sensor_params
+    L, columns, out = np.zeros((5, 5)), np.empty((5, 5)), np.empty((k, 5))
+    local_root(state, slot, L)
+    columns[:, :] = L
+    turn_rows(columns, 5, pose[2])
+    s = spread(state.memory, 5)
+    at_mean, predicted = np.empty(k), np.empty(k)
+    models.predict(pose, landmark, params, at_mean)
+    plus, minus, point = np.empty((5, k)), np.empty((5, k)), np.empty(5)
+    for i in range(5):
+        for side in range(2):
+            step = s if side == 0 else -s
+            for j in range(3):
+                point[j] = pose[j] + step * columns[j, i]
+            for j in range(2):
+                point[3 + j] = landmark[j] + step * columns[3 + j, i]
+            models.predict(point[:3], point[3:], params, predicted)
+            models.residual(predicted, at_mean, params, plus[i] if side == 0 else minus[i])
+    half, error, mean = np.empty((k, 5)), np.empty((k, k)), np.empty(k)
+    moments(plus, minus, half, error, mean, state.memory, k, 5, 5)
+    unwhiten(half, L, out, k, 5)
+    turn_columns(out, k, 5, pose[2])
+    for r in range(k):
+        state.H_pose[row + r] = out[r, :3]
+        state.H_landmark[row + r] = out[r, 3:]
+        state.z_hat[r] = at_mean[r] + mean[r]
+        for q in range(k):
+            state.noise[row + r, q] = models.R[r, q] + error[r, q]
+    models.residual(z, state.z_hat, params, state.y[row : row + k])
+
+
+@compiled("void(models, state, index, vector, index)", generic=True)
+def regress_start(models: Any, state: Any, slot: int, z: Any, total: int) -> None:
+    """Regression over sigma points of the pose and the measurement's noise, among those of `total` dimensions."""
+    k = z.shape[0]
+    n = 3 + k
+    pose, params = state.mean[:3], models.sensor_params
+    L, columns, L_z = np.zeros((5, 5)), np.empty((3, 3)), np.empty((k, k))
+    local_root(state, 0, L)
+    columns[:, :] = L[:3, :3]
+    turn_rows(columns, 3, pose[2])
+    root(models.R, L_z, k, 0.0)
+    s = spread(state.memory, total)
+    centre, point, noisy, plus, minus = np.empty(2), np.empty(3), np.empty(k), np.empty((n, 2)), np.empty((n, 2))
+    models.invert(pose, z, params, centre)
+    for i in range(n):
+        for side in range(2):
+            step = s if side == 0 else -s
+            out = plus[i] if side == 0 else minus[i]
+            point[:] = pose
+            noisy[:] = z
+            if i < 3:
+                for j in range(3):
+                    point[j] += step * columns[j, i]
+            else:
+                for j in range(k):
+                    noisy[j] += step * L_z[j, i - 3]
+            models.invert(point, noisy, params, out)
+            for j in range(2):
+                out[j] -= centre[j]
+    half, error, mean = np.empty((2, n)), np.empty((2, 2)), np.empty(2)
+    moments(plus, minus, half, error, mean, state.memory, 2, n, total)
+    unwhiten(half, L, state.G_pose, 2, 3)
+    turn_columns(state.G_pose, 2, 3, pose[2])
+    for i in range(2):
+        state.mean[slot + i] = centre[i] + mean[i]
+        for j in range(2):
+            state.block[i, j] = error[i, j]
+            for a in range(3, n):
+                state.block[i, j] += half[i, a] * half[j, a]
+
+
+@compiled("void(models, state, index, index, vector)", generic=True)
+def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
+    """Sigma points of the pose and the measurement's noise."""
+    regress_start(models, state, slot, z, 3 + z.shape[0])
+
+
+# -- sigma points over the whole state --------------------------------------------------------------------------------
+
+
+@compiled("void(models, state, vector, real)", generic=True)
+def whole_motion(models: Any, state: Any, u: Any, dt: float) -> None:
+    """Sigma points of the whole state and the control's noise; only those of the pose move anything."""
+    regress_motion(models, state, u, dt, state.size[ACTIVE] + u.shape[0])
+
+
+@compiled("void(models, state, index, index, vector)", generic=True)
+def whole_start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
+    """Sigma points of the whole state and the measurement's noise, likewise."""
+    regress_start(models, state, slot, z, state.size[ACTIVE] + z.shape[0])
+
+
+@compiled("void(state, index, real, matrix)")
+def whole_columns(state: Any, count: int, floor: float, C: Any) -> None:
+    """First `count` columns of C (D, D) ← T chol(Tᵀ P T), pivots not below `floor`; the others mean nothing.
+
+    Row by row, so that the inner loop runs along memory.
+    """
+    D, cov = state.size[ACTIVE], state.cov
+    column = np.empty(D)
+    for i in range(D):
+        for j in range(i + 1):
+            C[i, j] = C[j, i] = cov[i, j]
+    turn_rows(C, D, -state.mean[2])
+    turn_columns(C, D, D, -state.mean[2])
+    for j in range(count):
+        pivot = C[j, j]
+        known = pivot <= floor * floor
+        C[j, j] = floor if known else sqrt(pivot)
+        for i in range(j + 1, D):
+            column[i] = C[i, j] = 0.0 if known else C[i, j] / C[j, j]
+            C[j, i] = 0.0
+        for i in range(j + 1, D):
+            x, row, other = column[i], C[i][: i + 1], column[: i + 1]
+            for q in range(j + 1, i + 1):
+                row[q] -= x * other[q]
+    turn_rows(C, D, state.mean[2])
+
+
+@compiled("index(models, state, index)", generic=True)
+def regress(models: Any, state: Any, n: int) -> int:
+    """y, S and w ← the cross-covariance, by regression of n sightings over the whole state; how many were finite.
+
+    With h = half · C⁻¹ + noise: S = half halfᵀ + error + R, w = half Cᵀ. Columns after those of the last landmark in
+    sight move nothing that is in sight.
+    """
+    k, D, mean, params = models.R.shape[0], state.size[ACTIVE], state.mean, models.sensor_params
+    slots, order, z, y, S, w = state.slots, state.order, state.z, state.y, state.S, state.w
+    rows, count = n * k, 3
+    for j in range(n):
+        count = max(count, slots[j] + 2)
+    C = np.empty((D, D))
+    whole_columns(state, count, 0.0, C)
+    s = spread(state.memory, D)
+    centre, shift, predicted, point = np.empty(rows), np.empty(rows), np.empty(k), np.empty(5)
+    plus, minus = np.zeros((count, rows)), np.zeros((count, rows))
+    half, error = np.empty((rows, count)), np.empty((rows, rows))
+    for j in range(n):
+        models.predict(mean[:3], mean[slots[j] : slots[j] + 2], params, centre[j * k : (j + 1) * k])
+    for c in range(count):
+        for side in range(2):
+            step = s if side == 0 else -s
+            out = plus[c] if side == 0 else minus[c]
+            for i in range(3):
+                point[i] = mean[i] + step * C[i, c]
+            for j in range(n):
+                slot, first = slots[j], j * k
+                if c < slot + 2:
+                    for i in range(2):
+                        point[3 + i] = mean[slot + i] + step * C[slot + i, c]
+                    models.predict(point[:3], point[3:], params, predicted)
+                    models.residual(predicted, centre[first : first + k], params, out[first : first + k])
+    moments(plus, minus, half, error, shift, state.memory, rows, count, D)
+    kept = 0
+    for j in range(n):
+        first = j * k
+        for r in range(k):
+            state.z_hat[r] = centre[first + r] + shift[first + r]
+        models.residual(z[first : first + k], state.z_hat, params, y[first : first + k])
+        if is_finite(y[first : first + k]):
+            if kept < j:
+                slots[kept], order[kept] = slots[j], order[j]
+                z[kept * k : (kept + 1) * k] = z[first : first + k]
+            kept += 1
+        else:
+            drop(state, order[j], k)
+    if kept < n:
+        return kept
+    for r in range(rows):
+        for q in range(r + 1):
+            total = error[r, q] + (models.R[r % k, q % k] if r // k == q // k else 0.0)
+            for c in range(count):
+                total += half[r, c] * half[q, c]
+            S[r, q] = S[q, r] = total
+        for i in range(D):
+            total = 0.0
+            for c in range(count):
+                total += half[r, c] * C[i, c]
+            w[r, i] = total
+    return n
+
+
+@compiled("index(policy, models, state, index)", generic=True)
+def whole_correct(policy: Any, models: Any, state: Any, n: int) -> Any:
+    """One update by the n sightings in ``state.slots`` and ``state.z``, stacked with what their errors share.
+
+    Those beyond the gate, or that gave no finite numbers, are left out and the rest is reckoned anew.
+    """
+    k = models.R.shape[0]
+    kept = regress(models, state, n)
+    while kept < n:
+        n = kept
+        kept = regress(models, state, n)
+    kept = screen(policy, models, state, n)
+    if kept < 0:
+        return NOT_DEFINITE
+    if kept == 0:
+        return dismiss(state, n * k)
+    if kept < n:
+        n = kept
+        regress(models, state, n)
+    if not cholesky(state.S, state.L, 0, n * k):
+        return NOT_DEFINITE
+    forward(state.L, state.y, state.t, 0, n * k)
+    whiten(state, n * k)
+    return settle(policy, state, n, k)
