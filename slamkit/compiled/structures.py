@@ -159,9 +159,9 @@ def _words_of(name: str, field: Any, value: Any) -> list[int]:
     return [int(value)]
 
 
-def function(*arguments: Any) -> Any:
-    """Type of a function that writes into its last arguments."""
-    return types.FunctionType(void(*arguments))
+def function(*arguments: Any, result: Any = void) -> Any:
+    """Type of a function; one without a result writes into its last arguments."""
+    return types.FunctionType(result(*arguments))
 
 
 state, models, policy = TableType("state"), TableType("models"), TableType("policy")
@@ -237,6 +237,7 @@ POLICY_FIELDS = {
     "scan": function(models, state, integers, flag),
     "retract": function(state),
     "report": function(state, vector, matrix),
+    "step": function(policy, models, state, vector, real, integers, matrix, result=index),
     "gate": real,
     "iterations": index,
     "batch": flag,

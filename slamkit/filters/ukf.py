@@ -51,6 +51,14 @@ def root(P: Any, L: Any, n: int, floor: float) -> None:
             L[i, j] = s / L[j, j]
 
 
+@compiled("void(matrix, matrix)")
+def copy(M: Any, out: Any) -> None:
+    """out ← the corner of M that has its shape."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = M[i, j]
+
+
 @compiled("void(matrix, matrix, matrix, index, index)")
 def unwhiten(half: Any, L: Any, out: Any, rows: int, n: int) -> None:
     """out ← half L⁻¹ for a lower triangular L (n, n)."""
@@ -141,26 +149,22 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     pose, params = state.mean[:3], models.motion_params
     L, columns, L_u = np.zeros((5, 5)), np.empty((3, 3)), np.empty((m, m))
     local_root(state, 0, L)
-    columns[:, :] = L[:3, :3]
+    copy(L, columns)
     turn_rows(columns, 3, pose[2])
     models.control_noise(u, dt, params, state.sigma_u)
     root(state.sigma_u, L_u, m, 0.0)
     s = spread(state.memory, n)
-    centre, moved, noisy = np.empty(3), np.empty(3), np.empty(m)
+    centre, moved, point, noisy = np.empty(3), np.empty(3), np.empty(3), np.empty(m)
     models.move(pose, u, dt, params, centre)
     plus, minus = np.empty((n, 3)), np.empty((n, 3))
     for i in range(n):
         for side in range(2):
             step = s if side == 0 else -s
             out = plus[i] if side == 0 else minus[i]
-            noisy[:] = u
-            point = pose.copy()
-            if i < 3:
-                for j in range(3):
-                    point[j] += step * columns[j, i]
-            else:
-                for j in range(m):
-                    noisy[j] += step * L_u[j, i - 3]
+            for j in range(3):
+                point[j] = pose[j] + (step * columns[j, i] if i < 3 else 0.0)
+            for j in range(m):
+                noisy[j] = u[j] + (step * L_u[j, i - 3] if i >= 3 else 0.0)
             models.move(point, noisy, dt, params, moved)
             out[0], out[1], out[2] = moved[0] - centre[0], moved[1] - centre[1], wrap_angle(moved[2] - centre[2])
     half, error, mean = np.empty((3, n)), np.empty((3, 3)), np.empty(3)
@@ -186,7 +190,7 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     params = models.sensor_params
     L, columns, out = np.zeros((5, 5)), np.empty((5, 5)), np.empty((k, 5))
     local_root(state, slot, L)
-    columns[:, :] = L
+    copy(L, columns)
     turn_rows(columns, 5, pose[2])
     s = spread(state.memory, 5)
     at_mean, predicted = np.empty(k), np.empty(k)
@@ -206,8 +210,10 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     unwhiten(half, L, out, k, 5)
     turn_columns(out, k, 5, pose[2])
     for r in range(k):
-        state.H_pose[row + r] = out[r, :3]
-        state.H_landmark[row + r] = out[r, 3:]
+        for i in range(3):
+            state.H_pose[row + r, i] = out[r, i]
+        for i in range(2):
+            state.H_landmark[row + r, i] = out[r, 3 + i]
         state.z_hat[r] = at_mean[r] + mean[r]
         for q in range(k):
             state.noise[row + r, q] = models.R[r, q] + error[r, q]
@@ -222,7 +228,7 @@ def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     pose, params = state.mean[:3], models.sensor_params
     L, columns, L_z = np.zeros((5, 5)), np.empty((3, 3)), np.empty((k, k))
     local_root(state, 0, L)
-    columns[:, :] = L[:3, :3]
+    copy(L, columns)
     turn_rows(columns, 3, pose[2])
     root(models.R, L_z, k, 0.0)
     s = spread(state.memory, n)
@@ -232,14 +238,10 @@ def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
         for side in range(2):
             step = s if side == 0 else -s
             out = plus[i] if side == 0 else minus[i]
-            point[:] = pose
-            noisy[:] = z
-            if i < 3:
-                for j in range(3):
-                    point[j] += step * columns[j, i]
-            else:
-                for j in range(k):
-                    noisy[j] += step * L_z[j, i - 3]
+            for j in range(3):
+                point[j] = pose[j] + (step * columns[j, i] if i < 3 else 0.0)
+            for j in range(k):
+                noisy[j] = z[j] + (step * L_z[j, i - 3] if i >= 3 else 0.0)
             models.invert(point, noisy, params, out)
             for j in range(2):
                 out[j] -= centre[j]
