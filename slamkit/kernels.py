@@ -112,8 +112,9 @@ def gather(state: Any, slot: int, count: int) -> None:
     D = state.size[ACTIVE]
     for r in range(count):
         source = slot + r
-        out = state.gathered[5 - count + r] if count == 2 else state.gathered[r]
-        out[: source + 1] = cov[source, : source + 1]
+        out, row = state.gathered[5 - count + r] if count == 2 else state.gathered[r], cov[source]
+        for i in range(source + 1):
+            out[i] = row[i]
     if count == 2:
         a, b = state.gathered[3], state.gathered[4]
         a[slot + 1] = cov[slot + 1, slot]
@@ -521,7 +522,8 @@ def activate(state: Any, slot: int) -> Any:
         for j in range(C):
             Phi[new, j] = product[j]
         if r == 0:
-            state.dx[:C] = column
+            for p in range(C):
+                state.dx[p] = column[p]
     for r in range(2):
         new, at = D + r, C + r
         for i in range(D + 2):
@@ -581,8 +583,9 @@ def deposit(state: Any, X: Any) -> None:
 def pack(M: Any, n: int, store: Any) -> None:
     """Pack the lower triangle of M (n, n)."""
     for i in range(n):
-        start = place(i, 0)
-        store[start : start + i + 1] = M[i, : i + 1]
+        row, start = M[i], place(i, 0)
+        for j in range(i + 1):
+            store[start + j] = row[j]
 
 
 @compiled("void(vector, matrix)")
@@ -595,7 +598,9 @@ def expand(store: Any, M: Any) -> None:
         start = place(first, 0)
         panel = store[start : start + PANEL * width]
         for i in range(last - first):
-            M[first + i, : first + i + 1] = panel[i * width : i * width + first + i + 1]
+            row, a = M[first + i], panel[i * width :]
+            for j in range(first + i + 1):
+                row[j] = a[j]
         for left in range(0, first, 8):
             at = left * n + first
             for i in range(last - first):

@@ -57,22 +57,20 @@ class Compiled:
 
     @cached_property
     def jitted(self) -> Any:
-        """Numba's dispatcher, which compiles, or reads its cache, once another function is compiled that calls it.
+        """For other compiled functions to call: Numba's dispatcher of a fragment, see `slamkit.compiled.fragments`.
 
-        A function that is read from the cache holds the code of all that it calls, so those need not be read.
+        A function that is read from the cache holds the code of all that it calls, so fragments are not kept there.
         """
-        load_structures()
-        import numba
-
-        # contract lets a·b + c be one instruction; no other rule of floating-point arithmetic is relaxed.
-        with cache_folder():
-            jit = numba.njit(cache=True, fastmath={"contract"}, error_model="numpy", nogil=True)
-            jitted = jit(self._over(lambda c: c.jitted))
+        fragments = importlib.import_module(f"{__name__}.fragments")
+        jitted = self._dispatcher(
+            pipeline_class=fragments.FragmentCompiler, no_cpython_wrapper=True, no_cfunc_wrapper=True
+        )
         resolve = jitted.get_call_template
 
         def compiled_first(args: Any, kws: Any) -> Any:
             """With its one signature compiled, a call casts its arguments to it instead of compiling for others."""
-            assert self.dispatcher is jitted
+            if not jitted.overloads:
+                self._compile(jitted)
             return resolve(args, kws)
 
         jitted.get_call_template = compiled_first
@@ -80,11 +78,23 @@ class Compiled:
 
     @cached_property
     def dispatcher(self) -> Any:
-        """The same, compiled now or read from the cache."""
+        """For Python and for tables: machine code, compiled now or read from the cache."""
+        return self._compile(self._dispatcher(cache=True))
+
+    def _dispatcher(self, **options: Any) -> Any:
+        load_structures()
+        import numba
+
+        # contract lets a·b + c be one instruction; no other rule of floating-point arithmetic is relaxed.
         with cache_folder():
-            self.jitted.compile(eval(self.signature, dict(load_structures().WORDS)))
-        self.jitted.disable_compile()
-        return self.jitted
+            jit = numba.njit(fastmath={"contract"}, error_model="numpy", nogil=True, **options)
+            return jit(self._over(lambda c: c.jitted))
+
+    def _compile(self, dispatcher: Any) -> Any:
+        with cache_folder():
+            dispatcher.compile(eval(self.signature, dict(load_structures().WORDS)))
+        dispatcher.disable_compile()
+        return dispatcher
 
     @cached_property
     def plain(self) -> Callable[..., Any]:

@@ -159,9 +159,9 @@ def _words_of(name: str, field: Any, value: Any) -> list[int]:
     return [int(value)]
 
 
-def function(*arguments: Any) -> Any:
-    """Type of a function that writes into its last arguments."""
-    return types.FunctionType(void(*arguments))
+def function(*arguments: Any, result: Any = void) -> Any:
+    """Type of a function; one without a result writes into its last arguments."""
+    return types.FunctionType(result(*arguments))
 
 
 state, models, policy = TableType("state"), TableType("models"), TableType("policy")
@@ -234,9 +234,10 @@ POLICY_FIELDS = {
     "sensor": function(models, state, vector, vector, index, vector, index),
     "start": function(models, state, index, index, vector),
     "scan": function(models, state, integers, flag),
-    "correct": types.FunctionType(index(policy, models, state, index)),
+    "correct": function(policy, models, state, index, result=index),
     "retract": function(state),
     "report": function(state, vector, matrix),
+    "step": function(policy, models, state, vector, real, integers, matrix, result=index),
     "gate": real,
     "iterations": index,
     "batch": flag,

@@ -99,7 +99,13 @@ class LandmarkFilter:
 
     def _new_policy(self) -> Policy:
         gate = np.inf if self.gate is None else float(self.gate)
-        return Policy(**self.functions._asdict(), gate=gate, iterations=self.iterations, batch=self.order == "batch")
+        return Policy(
+            **self.functions._asdict(),
+            step=steps.step,
+            gate=gate,
+            iterations=self.iterations,
+            batch=self.order == "batch",
+        )
 
     # -- the cycle ----------------------------------------------------------------------------------------------------
 

@@ -29,7 +29,7 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
     """The predicted position is the first estimate of where the robot is now."""
     if moved:
-        state.points[:2] = state.mean[:2]
+        state.points[0], state.points[1] = state.mean[0], state.mean[1]
 
 
 @compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
@@ -51,7 +51,7 @@ def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     dx, dy = state.mean[0] - points[0], state.mean[1] - points[1]
     for i in range(2):
         G[i, 2] += G[i, 1] * dx - G[i, 0] * dy
-    points[slot : slot + 2] = state.mean[slot : slot + 2]
+    points[slot], points[slot + 1] = state.mean[slot], state.mean[slot + 1]
 
 
 class FirstEstimatesEKFSLAM(EKFSLAM):

@@ -42,7 +42,8 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
     """The robot is where it is."""
     if moved:
-        state.points[:3] = state.memory[:3]
+        for i in range(3):
+            state.points[i] = state.memory[i]
 
 
 @compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
@@ -60,12 +61,12 @@ def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     landmark = state.truth[place]
     exact = np.empty(z.shape[0])
     models.predict(state.points[:3], landmark, models.sensor_params, exact)
-    estimate = state.mean[:3].copy()
-    state.mean[:3] = state.points[:3]
+    x, y, heading = state.mean[0], state.mean[1], state.mean[2]
+    state.mean[0], state.mean[1], state.mean[2] = state.points[0], state.points[1], state.points[2]
     standard_start(models, state, slot, place, exact)
-    state.mean[:3] = estimate
+    state.mean[0], state.mean[1], state.mean[2] = x, y, heading
     models.invert(state.mean[:3], z, models.sensor_params, state.mean[slot : slot + 2])
-    state.points[slot : slot + 2] = landmark
+    state.points[slot], state.points[slot + 1] = landmark[0], landmark[1]
 
 
 class IdealEKFSLAM(EKFSLAM):

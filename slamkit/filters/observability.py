@@ -21,7 +21,7 @@ from slamkit.kernels import propagate
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """F for a scan that sees nothing; `scan` moves the lever arm when it knows what is seen."""
     standard_motion(models, state, u, dt)
-    state.memory[2:4] = state.mean[:2]
+    state.memory[2], state.memory[3] = state.mean[0], state.mean[1]
 
 
 @compiled("void(models, state, integers, flag)", generic=True)
@@ -61,8 +61,9 @@ def move_lever(state: Any, dx: float, dy: float) -> None:
     for i in range(2):
         for j in range(3):
             old[i, j] += F[i, 2] * old[2, j]
-    F[:, :] = old
-    Q[:, :] = rest
+    for i in range(3):
+        for j in range(3):
+            F[i, j], Q[i, j] = old[i, j], rest[i, j]
 
 
 class ObservabilityConstrainedEKFSLAM(EKFSLAM):

@@ -43,6 +43,14 @@ def root(P: Any, L: Any, n: int, floor: float) -> None:
             L[i, j] = s / L[j, j]
 
 
+@compiled("void(matrix, matrix)")
+def copy(M: Any, out: Any) -> None:
+    """out ← the corner of M that has its shape."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = M[i, j]
+
+
 @compiled("void(matrix, matrix, matrix, index, index)")
 def unwhiten(half: Any, L: Any, out: Any, rows: int, n: int) -> None:
     """out ← half L⁻¹ for a lower triangular L (n, n)."""
@@ -142,26 +150,22 @@ def regress_motion(models: Any, state: Any, u: Any, dt: float, total: int) -> No
     pose, params = state.mean[:3], models.motion_params
     L, columns, L_u = np.zeros((5, 5)), np.empty((3, 3)), np.empty((m, m))
     local_root(state, 0, L)
-    columns[:, :] = L[:3, :3]
+    copy(L, columns)
     turn_rows(columns, 3, pose[2])
     models.control_noise(u, dt, params, state.sigma_u)
     root(state.sigma_u, L_u, m, 0.0)
     s = spread(state.memory, total)
-    centre, moved, noisy = np.empty(3), np.empty(3), np.empty(m)
+    centre, moved, point, noisy = np.empty(3), np.empty(3), np.empty(3), np.empty(m)
     models.move(pose, u, dt, params, centre)
     plus, minus = np.empty((n, 3)), np.empty((n, 3))
     for i in range(n):
         for side in range(2):
             step = s if side == 0 else -s
             out = plus[i] if side == 0 else minus[i]
-            noisy[:] = u
-            point = pose.copy()
-            if i < 3:
-                for j in range(3):
-                    point[j] += step * columns[j, i]
-            else:
-                for j in range(m):
-                    noisy[j] += step * L_u[j, i - 3]
+            for j in range(3):
+                point[j] = pose[j] + (step * columns[j, i] if i < 3 else 0.0)
+            for j in range(m):
+                noisy[j] = u[j] + (step * L_u[j, i - 3] if i >= 3 else 0.0)
             models.move(point, noisy, dt, params, moved)
             out[0], out[1], out[2] = moved[0] - centre[0], moved[1] - centre[1], wrap_angle(moved[2] - centre[2])
     half, error, mean = np.empty((3, n)), np.empty((3, 3)), np.empty(3)
@@ -193,7 +197,7 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     params = models.sensor_params
     L, columns, out = np.zeros((5, 5)), np.empty((5, 5)), np.empty((k, 5))
     local_root(state, slot, L)
-    columns[:, :] = L
+    copy(L, columns)
     turn_rows(columns, 5, pose[2])
     s = spread(state.memory, 5)
     at_mean, predicted = np.empty(k), np.empty(k)
@@ -213,8 +217,10 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     unwhiten(half, L, out, k, 5)
     turn_columns(out, k, 5, pose[2])
     for r in range(k):
-        state.H_pose[row + r] = out[r, :3]
-        state.H_landmark[row + r] = out[r, 3:]
+        for i in range(3):
+            state.H_pose[row + r, i] = out[r, i]
+        for i in range(2):
+            state.H_landmark[row + r, i] = out[r, 3 + i]
         state.z_hat[r] = at_mean[r] + mean[r]
         for q in range(k):
             state.noise[row + r, q] = models.R[r, q] + error[r, q]
@@ -229,7 +235,7 @@ def regress_start(models: Any, state: Any, slot: int, z: Any, total: int) -> Non
     pose, params = state.mean[:3], models.sensor_params
     L, columns, L_z = np.zeros((5, 5)), np.empty((3, 3)), np.empty((k, k))
     local_root(state, 0, L)
-    columns[:, :] = L[:3, :3]
+    copy(L, columns)
     turn_rows(columns, 3, pose[2])
     root(models.R, L_z, k, 0.0)
     s = spread(state.memory, total)
@@ -239,14 +245,10 @@ def regress_start(models: Any, state: Any, slot: int, z: Any, total: int) -> Non
         for side in range(2):
             step = s if side == 0 else -s
             out = plus[i] if side == 0 else minus[i]
-            point[:] = pose
-            noisy[:] = z
-            if i < 3:
-                for j in range(3):
-                    point[j] += step * columns[j, i]
-            else:
-                for j in range(k):
-                    noisy[j] += step * L_z[j, i - 3]
+            for j in range(3):
+                point[j] = pose[j] + (step * columns[j, i] if i < 3 else 0.0)
+            for j in range(k):
+                noisy[j] = z[j] + (step * L_z[j, i - 3] if i >= 3 else 0.0)
             models.invert(point, noisy, params, out)
             for j in range(2):
                 out[j] -= centre[j]
@@ -283,19 +285,19 @@ def whole_start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     regress_start(models, state, slot, z, state.size[ACTIVE] + z.shape[0])
 
 
-@compiled("void(state, index, real, matrix)")
-def whole_columns(state: Any, count: int, floor: float, C: Any) -> None:
+@compiled("void(matrix, real, index, real, matrix)")
+def whole_columns(P: Any, heading: float, count: int, floor: float, C: Any) -> None:
     """First `count` columns of C (D, D) ← T chol(Tᵀ P T), pivots not below `floor`; the others mean nothing.
 
-    Row by row, so that the inner loop runs along memory.
+    Of P only the lower triangle is read. Row by row, so that the inner loop runs along memory.
     """
-    D, cov = state.size[ACTIVE], state.cov
+    D = C.shape[0]
     column = np.empty(D)
     for i in range(D):
         for j in range(i + 1):
-            C[i, j] = C[j, i] = cov[i, j]
-    turn_rows(C, D, -state.mean[2])
-    turn_columns(C, D, D, -state.mean[2])
+            C[i, j] = C[j, i] = P[i, j]
+    turn_rows(C, D, -heading)
+    turn_columns(C, D, D, -heading)
     for j in range(count):
         pivot = C[j, j]
         known = pivot <= floor * floor
@@ -307,7 +309,7 @@ def whole_columns(state: Any, count: int, floor: float, C: Any) -> None:
             x, row, other = column[i], C[i][: i + 1], column[: i + 1]
             for q in range(j + 1, i + 1):
                 row[q] -= x * other[q]
-    turn_rows(C, D, state.mean[2])
+    turn_rows(C, D, heading)
 
 
 @compiled("index(models, state, index)", generic=True)
@@ -323,7 +325,7 @@ def regress(models: Any, state: Any, n: int) -> int:
     for j in range(n):
         count = max(count, slots[j] + 2)
     C = np.empty((D, D))
-    whole_columns(state, count, 0.0, C)
+    whole_columns(state.cov, mean[2], count, 0.0, C)
     s = spread(state.memory, D)
     centre, shift, predicted, point = np.empty(rows), np.empty(rows), np.empty(k), np.empty(5)
     plus, minus = np.zeros((count, rows)), np.zeros((count, rows))
@@ -353,7 +355,8 @@ def regress(models: Any, state: Any, n: int) -> int:
         if is_finite(y[first : first + k]):
             if kept < j:
                 slots[kept], order[kept] = slots[j], order[j]
-                z[kept * k : (kept + 1) * k] = z[first : first + k]
+                for r in range(k):
+                    z[kept * k + r] = z[first + r]
             kept += 1
         else:
             drop(state, order[j], k)

@@ -68,7 +68,7 @@ def first_bad(models: Any, state: Any, slots: Any, z: Any) -> int:
     for i in range(slots.shape[0]):
         landmark = state.at[:2]
         if slots[i] >= 0:
-            landmark[:] = state.mean[slots[i] : slots[i] + 2]
+            landmark[0], landmark[1] = state.mean[slots[i]], state.mean[slots[i] + 1]
         else:
             models.invert(state.pose, z[i], models.sensor_params, landmark)
         models.predict(state.pose, landmark, models.sensor_params, state.z_hat)
@@ -195,8 +195,11 @@ def refuse(state: Any, rows: int) -> None:
     """An update beyond the gate is on record with y, S and L as they are and a gain of zero: it has changed nothing."""
     size = state.size
     size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN] = rows, size[ACTIVE], size[WHOLE]
-    state.w[:rows, : size[ACTIVE]] = 0.0
-    state.g[:rows, : size[COLUMNS]] = 0.0
+    for r in range(rows):
+        for i in range(size[ACTIVE]):
+            state.w[r, i] = 0.0
+        for i in range(size[COLUMNS]):
+            state.g[r, i] = 0.0
 
 
 @compiled("index(state, index)")
@@ -285,7 +288,8 @@ def take(policy: Any, models: Any, state: Any, slots: Any, z: Any, moved: bool) 
         for i in range(n):
             if slots[i] >= 0:
                 state.slots[known], state.order[known] = slots[i], i
-                state.z[known * k : (known + 1) * k] = z[i]
+                for r in range(k):
+                    state.z[known * k + r] = z[i, r]
                 known += 1
         if known > 0:
             status = policy.correct(policy, models, state, known)
@@ -423,7 +427,7 @@ as_policy, as_models, as_state = intrinsics("structures", "as_policy", "as_model
 @compiled("index(index, index, index, vector, real, integers, matrix)")
 def step_at(policy: int, models: int, state: int, u: Any, dt: float, slots: Any, z: Any) -> Any:
     """`step` with the addresses of its tables, for a caller in Python to whom every microsecond counts."""
-    return step(as_policy(policy), as_models(models), as_state(state), u, dt, slots, z)
+    return as_policy(policy).step(as_policy(policy), as_models(models), as_state(state), u, dt, slots, z)
 
 
 @compiled(
@@ -449,10 +453,12 @@ def run(
         for j in range(n):
             slots[j] = slot_of[which[lo + j]]
             if true_landmarks.shape[0] > 0:
-                state.truth[j] = true_landmarks[which[lo + j]]
+                for c in range(2):
+                    state.truth[j, c] = true_landmarks[which[lo + j], c]
         if true_poses.shape[0] > 0:
-            state.memory[:3] = true_poses[i]
-        status = step(policy, models, state, controls[max(control[i], 0)], dt[i], slots[:n], z[lo : lo + n])
+            for c in range(3):
+                state.memory[c] = true_poses[i, c]
+        status = policy.step(policy, models, state, controls[max(control[i], 0)], dt[i], slots[:n], z[lo : lo + n])
         for j in range(n):
             slot_of[which[lo + j]] = slots[j]
         state.size[STATUS] = status
@@ -460,7 +466,8 @@ def run(
             return i
         policy.report(state, poses[i], covariances[i])
         for j in range(n):
-            innovations[lo + j, :] = state.innovations[j]
+            for r in range(innovations.shape[1]):
+                innovations[lo + j, r] = state.innovations[j, r]
             nis[lo + j] = state.nis[j]
             accepted[lo + j] = state.accepted[j]
         if status == DUE:

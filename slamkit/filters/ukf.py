@@ -187,8 +187,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
     def _columns(self, floor: float = 0.0) -> Array:
         """Root (D, D) of P, taken in robot axes; a floor makes it invertible, for a regression and nothing else."""
         C = np.empty((self.dim_x, self.dim_x))
-        self._belief.flush()
-        whole_columns(self._belief.state, self.dim_x, floor, C)
+        whole_columns(self._belief.covariance, self._belief.state.mean[2], self.dim_x, floor, C)
         return C
 
     def _fit(
