@@ -46,6 +46,7 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 _J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
@@ -133,8 +134,7 @@ def nullity(filter: LandmarkFilter, log: Log, tolerance: float = 5e-6) -> Nullit
     Raises
     ------
     InputError
-        The tolerance is out of its interval, the log does not fit the filter, or the filter is an unscented one with
-        sigma points over the whole state: its regressions tie every landmark to every other and leave no such H.
+        The tolerance is out of its interval, or the log does not fit the filter.
 
     Notes
     -----
@@ -143,13 +143,12 @@ def nullity(filter: LandmarkFilter, log: Log, tolerance: float = 5e-6) -> Nullit
     H = [-G_x, I] with the noise G_z R G_zᵀ, so that a wrong initialisation shows, too. For the invariant filter Φ
     includes the passage to the new mean, for the robocentric filter the passage to the robot's new frame. The latter's
     three directions are those of the start as the robot sees it, which no measurement of landmarks touches at all. The
-    steps run as Python, about a millisecond each.
+    steps run as Python, about a millisecond each. An unscented filter's Jacobians are the matrices of its regressions;
+    with sigma points over the whole state, H = P_xzᵀ P_xx⁻¹ has columns for every landmark.
     Huang, Mourikis & Roumeliotis, IJRR 29(5):502-528 (2010), whose matrix takes its landmarks for known to the map.
     """
     if not 0 < tolerance < 1:
         raise InputError(f"tolerance is {tolerance}, expected a share of the largest singular value in (0, 1)")
-    if not filter._leaves_jacobians():
-        raise InputError(f"the nullity of {filter.name} cannot be recorded: its steps leave no sparse Jacobians")
     f, sightings, corrected = _recording(filter)
     D = f.dim_x + 2 * sum(i not in f.landmarks for i in log.landmark_ids)
     own = f.base - 3  # a belief in a frame of its own begins with the robot there, whose error starts at zero
@@ -157,7 +156,7 @@ def nullity(filter: LandmarkFilter, log: Log, tolerance: float = 5e-6) -> Nullit
     for dt in _steps(f, log):
         if dt > 0:
             Phi[:3] = f._belief.state.F @ Phi[:3]
-        rows += [H[:, :3] @ Phi[:3] + H[:, 3:] @ Phi[slot : slot + 2] for slot, H in sightings]
+        rows += [H @ Phi[at] for at, H in sightings]
         sightings.clear()
         if corrected:
             f._change_frame(Phi, corrected[-1])
@@ -524,33 +523,52 @@ def _steps(filter: LandmarkFilter, log: Log) -> Iterator[float]:
         yield step.dt
 
 
-def _recording(filter: LandmarkFilter) -> tuple[LandmarkFilter, list[tuple[int, Array]], list[Array]]:
+def _recording(filter: LandmarkFilter) -> tuple[LandmarkFilter, list[tuple[Indices, Array]], list[Array]]:
     """A copy that runs as Python, and what it leaves in two lists.
 
-    First slot and whitened [H_pose, H_landmark] (k, 5) of each sighting, then the pose (3,) after each correction.
+    Of each sighting the coordinates (n,) that it depends on and the whitened H (k, n) on them; then the pose (3,) after
+    each correction.
     """
     f = copy.deepcopy(filter)
     policy = f._new_policy()
     own = policy.plain
-    sightings: list[tuple[int, Array]] = []
+    sightings: list[tuple[Indices, Array]] = []
     corrected: list[Array] = []
+    dense: dict[int, tuple[Array, Array]] = {}
 
-    def keep(slots: Any, H: Array, noise: Array) -> None:
-        sightings.extend(zip([int(s) for s in slots], np.linalg.solve(np.linalg.cholesky(noise), H), strict=True))
+    def keep(at: Indices, H: Array, noise: Array) -> None:
+        sightings.append((at, np.linalg.solve(np.linalg.cholesky(noise), H)))
 
-    # Every update ends in one retraction, with the Jacobians that it used still in the state.
+    def block(slot: int) -> Indices:
+        return np.array([0, 1, 2, slot, slot + 1])
+
+    # A dense H belongs to the belief before the update, a sparse one is still in the state at the end of it.
+    def correct(policy: Any, models: Any, state: Any, n: int) -> int:
+        dense.clear()
+        for slot in state.slots[:n].tolist():
+            regression = f._regression(slot)
+            if regression is not None:
+                dense[slot] = regression
+        return int(own.correct(policy, models, state, n))
+
+    # Every update ends in one retraction.
     def retract(state: Any) -> None:
-        rows, k = int(state.size[ROWS]), state.noise.shape[1]
-        H = np.hstack([state.H_pose[:rows], state.H_landmark[:rows]])
-        keep(state.owner[state.slots[: rows // k]], H.reshape(-1, k, 5), state.noise[:rows].reshape(-1, k, k))
+        k = state.noise.shape[1]
+        for j, slot in enumerate(state.slots[: state.size[ROWS] // k].tolist()):
+            rows = slice(j * k, (j + 1) * k)
+            if slot in dense:
+                keep(np.arange(state.size[WHOLE]), *dense[slot])
+            else:
+                H = np.hstack([state.H_pose[rows], state.H_landmark[rows]])
+                keep(block(int(state.owner[slot])), H, state.noise[rows])
         own.retract(state)
         corrected.append(state.mean[:3].copy())
 
     def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
         own.start(models, state, slot, place, z)
-        keep([state.size[WHOLE]], np.hstack([-state.G_pose, np.eye(2)])[None], state.block[None])
+        keep(block(int(state.size[WHOLE])), np.hstack([-state.G_pose, np.eye(2)]), state.block)
 
-    policy.plain = SimpleNamespace(**{**vars(own), "retract": retract, "start": start})
+    policy.plain = SimpleNamespace(**{**vars(own), "correct": correct, "retract": retract, "start": start})
     f._policy, f._models = policy, Models(compiled=False, **f._models.fields)
     return f, sightings, corrected
 

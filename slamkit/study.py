@@ -101,7 +101,7 @@ class GaugeCheck:
 
     filter: str
     error: str | None  #: why a number is missing
-    nullity: int | None  #: see :func:`slamkit.gauge.nullity`, which the full UKF has not
+    nullity: int | None  #: see :func:`slamkit.gauge.nullity`; None where it failed
     times: Array  #: (n,) [s]
     deviations: Array  #: (n,) gauge deviation after each step [rad]
     deviation_drop: float | None  #: largest fall of these, as a share of the largest of them

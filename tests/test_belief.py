@@ -544,7 +544,7 @@ def test_a_model_that_raises_leaves_a_compressed_belief(name: str) -> None:
     assert same(f, before)
 
 
-@pytest.mark.parametrize("name", [n for n in ALL if n != "ukf-full"])
+@pytest.mark.parametrize("name", ALL)
 @pytest.mark.parametrize("landmarks", [1, 8, 18, 19, 23])
 def test_a_refused_step_in_a_small_map_never_was(name: str, landmarks: int) -> None:
     """Nothing of it is left that any later step could show, whether the map is saved and undone or asked beforehand."""

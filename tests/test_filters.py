@@ -132,7 +132,7 @@ def _inlined() -> Any:
 @every_sensor
 def test_covariance_stays_symmetric_and_positive_definite(name: str, order: str, sensor: str) -> None:
     f = make(name, sensor=sensor, order=order)
-    f.run(drive(f.motion, f.sensor, steps=60 if name == "ukf-full" else 600, landmarks=12))
+    f.run(drive(f.motion, f.sensor, steps=600, landmarks=12))
     P = f.P
     assert np.array_equal(P, P.T)
     assert np.linalg.eigvalsh(P)[0] > 0
@@ -427,7 +427,7 @@ def test_ids_may_be_anything_hashable(name: str) -> None:
 @all_filters
 def test_progress_is_told(name: str) -> None:
     f, told = make(name), []
-    log = drive(f.motion, f.sensor, steps=100 if name == "ukf-full" else 700)
+    log = drive(f.motion, f.sensor, steps=700)
     f.run(log, progress=lambda done, total: told.append((done, total)))
     assert told[-1] == (len(log), len(log))
     assert [d for d, _ in told] == sorted(d for d, _ in told)

@@ -150,7 +150,6 @@ CLAIMS: dict[str, dict[str, tuple[float, float]]] = {
     "08_the_family": {
         "failed or diverged runs": (0, 0),
         "ukf and ukf-full, largest difference in standard deviations": (0, 1e-3),
-        "time of a step, ukf-full over ukf": (10, 1e5),
         "ekf, position RMSE": (0.75, 1),
         "iterated, position RMSE": (0.85, 1.3),
         "invariant, position RMSE": (0.6, 0.74),

@@ -67,11 +67,10 @@ def mean(values: Array) -> str:
 
 # %% [markdown]
 # The tenth, `ukf-full`, is not among them. Its sigma points span the whole state, so that a step costs O(D³); `ukf`
-# takes them over the pose and one landmark, and says the same. On the first fifty steps of a log:
+# takes them over the pose and one landmark, and says the same:
 
 # %%
-short = replace(world, controls=world.controls[:50])
-log = simulate(short, np.random.default_rng(1))
+log = simulate(world, np.random.default_rng(1))
 partial, full = (
     FILTERS[name](world.motion, world.sensor, world.pose, world.pose_covariance) for name in ("ukf", "ukf-full")
 )

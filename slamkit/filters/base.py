@@ -425,9 +425,9 @@ class LandmarkFilter:
         """Points (D,) at which the Jacobians take their lever arms; the entry of the heading means nothing."""
         return self._belief.points(self.feet)
 
-    def _leaves_jacobians(self) -> bool:
-        """Whether a step leaves the F and the sparse H that it used, in the coordinates of the belief."""
-        return True
+    def _regression(self, slot: int) -> tuple[Array, Array] | None:
+        """H (k, D) and noise (k, k) of a sighting of the landmark at `slot`; None where H is sparse."""
+        return None
 
     def _change_frame(self, rows: Array, pose: Array) -> None:
         """Take rows (dim, n), one an error of the belief, through the change of frame that ends a corrected step.

@@ -170,17 +170,12 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         if z is None:
             super().update(None, at, at)
             return
-        columns = self._columns(PROBE)
-        fit = self._fit(at, lambda a, b: np.atleast_1d(residual(a, b)), columns)
+        H, fit = self._matrix(at, lambda a, b: np.atleast_1d(residual(a, b)))
         r = len(fit.error)
         noise = self.R if R is None else np.eye(r) * float(R) if np.ndim(R) == 0 else np.asarray(R)  # type: ignore[arg-type]
         if noise.shape != (r, r):
             raise InputError(f"R has shape {noise.shape}, hx gives {r} numbers")
-        H = np.linalg.solve(columns.T, fit.half.T).T
         super().update(z, lambda x: H, lambda x: at(x) + fit.mean, noise + fit.error, residual=residual)
-
-    def _leaves_jacobians(self) -> bool:
-        return self.sigma_points == "partial"
 
     # -- sigma points over the whole state ----------------------------------------------------------------------------
 
@@ -190,21 +185,37 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         whole_columns(self._belief.covariance, self._belief.state.mean[2], self.dim_x, floor, C)
         return C
 
-    def _fit(
-        self, f: Callable[[Array], Array], subtract: Callable[[Any, Any], Array], columns: Array, x: Array | None = None
-    ) -> Fit:
-        """Regression of f over sigma points x ± s·columns, x being the mean by default."""
-        x, memory, n = self._belief.mean if x is None else x, self._belief.state.memory, columns.shape[1]
-        steps_ = spread(memory, n) * columns.T
+    def _matrix(self, f: Callable[[Array], Array], subtract: Callable[[Any, Any], Array]) -> tuple[Array, Fit]:
+        """Regression of f over sigma points of the whole state, and its matrix (r, D)."""
+        columns, x, memory = self._columns(PROBE), self._belief.mean, self._belief.state.memory
+        n = len(x)
         # Bad input makes NaN here, which the caller refuses; NumPy need not warn of it as well.
         with np.errstate(invalid="ignore"):
             centre = f(x)
-            plus = np.array([subtract(f(x + d), centre) for d in steps_])
-            minus = np.array([subtract(f(x - d), centre) for d in steps_])
+            plus = np.array([subtract(f(x + d), centre) for d in spread(memory, n) * columns.T])
+            minus = np.array([subtract(f(x - d), centre) for d in spread(memory, n) * columns.T])
         r = plus.shape[1]
         fit = Fit(centre, np.empty(r), np.empty((r, n)), np.empty((r, r)))
         moments(plus, minus, fit.half, fit.error, fit.mean, memory, r, n, n)
-        return fit
+        return np.asarray(np.linalg.solve(columns.T, fit.half.T).T), fit
+
+    def _regression(self, slot: int) -> tuple[Array, Array] | None:
+        if self.sigma_points == "partial":
+            return None
+        models, k = self._models, self.dim_z
+
+        def predict(x: Array) -> Array:
+            out = np.empty(k)
+            models.predict(x[:3], x[slot : slot + 2], models.sensor_params, out)
+            return out
+
+        def residual(z: Array, z_hat: Array) -> Array:
+            out = np.empty(k)
+            models.residual(z, z_hat, models.sensor_params, out)
+            return out
+
+        H, fit = self._matrix(predict, residual)
+        return H, models.R + fit.error
 
     def _facts(self) -> dict[str, Any]:
         return {"sigma_points": self.sigma_points, "alpha": self.alpha, "beta": self.beta, "kappa": self.kappa}
