@@ -71,7 +71,7 @@ class Smoother:
         c, s = np.cos(moved[2]), np.sin(moved[2])
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # GTSAM's noise is in the frame of the end
         graph = gtsam.NonlinearFactorGraph()
-        model = gtsam.noiseModel.Gaussian.Covariance(turn @ noise @ turn.T + LEAST**2 * np.diag([1.0, 1.0, 0.0]))
+        model = gtsam.noiseModel.Gaussian.Covariance(turn @ noise @ turn.T + LEAST**2 * np.diag([1.0, 1.0, 0.0]), False)
         step = gtsam.Pose2(*moved)
         graph.add(gtsam.BetweenFactorPose2(self._pose_key(k), self._pose_key(k + 1), step, model))
         seen = range(work.first[k], work.first[k + 1])
