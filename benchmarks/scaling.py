@@ -5,8 +5,8 @@
 A step is 1 prediction and 8 range-bearing sightings of mapped landmarks. Every contender has a process of its own and
 one thread; they take turns, so that whatever else the machine does meets all of them, and each has to agree with
 slamkit before it is timed. A plain C++ filter is the measure of all; it needs g++. MRPT (on Debian apt install
-libmrpt-slam-dev) and GTSAM (pip install 'slamkit[bench]') take part where they are there; the report says who did not,
-and why. Writes scaling.json, scaling.md and scaling.png.
+libmrpt-slam-dev) and GTSAM (pip install --editable '.[bench]') take part where they are there; the report says who did
+not, and why. Writes scaling.json, scaling.md and scaling.png.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """GTSAM's iSAM2, a smoother: it keeps every pose, and its step grows with their number.
 
-It comes as a wheel of its own (``pip install gtsam``, 4.3 or newer), which slamkit does not depend on.
+GTSAM 4.3 comes as a wheel, which slamkit does not depend on: it is in the extra `bench`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Smoother:
         try:
             import gtsam  # type: ignore[import-not-found, unused-ignore]
         except ImportError as error:
-            raise MissingError(f"no GTSAM (pip install gtsam): {error}") from None
+            raise MissingError(f"no GTSAM 4.3 (pip install 'gtsam>=4.3,<4.4'): {error}") from None
         self.gtsam, self.work = gtsam, work
         self.sight_noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([SIGMA_BEARING, SIGMA_RANGE]))
 

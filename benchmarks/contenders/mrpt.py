@@ -29,7 +29,9 @@ def _library() -> Any:
     modules = sorted((root / "include" / "mrpt").glob("*/include"))
     found = next((root / "lib").glob("**/libmrpt-slam.so"), None)
     if not modules or found is None:
-        raise MissingError(f"no MRPT under {root} (Debian: libmrpt-slam-dev; MRPT_ROOT names another place)")
+        raise MissingError(
+            f"no MRPT under {root} (Debian: apt install libmrpt-slam-dev; MRPT_ROOT names another place)"
+        )
     headers = [root / "include", root / "include" / "eigen3", *modules]
     made = library(
         "mrpt.cpp",
