@@ -1,7 +1,7 @@
 # make demo        the main job on the built-in world: tables, figures and logs in demo/
 # make test        lint, types and the test suite
 # make test-long   the same with the tests that take minutes
-# make bench       every script of benchmarks/
+# make bench       every script of benchmarks/: tables and figures in benchmarks/results/
 # make lint        lint and types alone
 # make clean       removes the environment and everything that was built
 #
@@ -22,7 +22,11 @@ test: lint
 test-long: lint
 	$(bin)/python -m pytest -n auto --dist worksteal -m "slow or not slow"
 
+# GTSAM is not there for every Python; MRPT is no Python package (on Debian: apt install libmrpt-slam-dev).
 bench: $(ready)
+	@$(bin)/python -c 'import gtsam' 2>/dev/null || \
+	$(bin)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]' || \
+	echo "GTSAM cannot be installed here: iSAM2 takes no part." >&2
 	@set -e; for script in $(benchmarks); do echo "$$script"; $(bin)/python "$$script"; done
 
 lint: $(ready)

@@ -1,4 +1,4 @@
-"""How the speed benchmarks take a time, and how they write it."""
+"""How the benchmark takes a time, and how it writes it."""
 
 from __future__ import annotations
 

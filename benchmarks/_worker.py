@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import resource
-import sys
+import gc
 from collections.abc import Callable
 from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from _measure import seconds
-from _workload import SIGHTINGS, Array, IntArray, Work, make_work
-from contenders import Contender, contender
+from _workload import SIGHTINGS, Array, IntArray, Work
+from contenders import Contender, MissingError, contender
 from contenders.triangle import Passes
 from scipy.linalg.blas import dsyrk
 
 SAMPLE = 0.2  # [s]; no sample is shorter
 WINDOW = 50  # steps of the drive over which a filter is sampled that is the slower the more steps it has taken
 MANY, LONG = 1000, 5.0  # a filter that puts work off is sampled over so many steps, or seconds where that is shorter
+LIMIT = 900.0  # [s]; no call of a worker may take longer
 
 
 class Track:
@@ -128,20 +129,37 @@ def _repeat(go: Callable[[], object], calls: int) -> None:
         go()
 
 
-def peak(name: str, landmarks: int, seed: int) -> float:
-    """Bytes that a contender adds at its peak to a process that has made the same on a small map before."""
-    work = make_work(landmarks, np.random.default_rng(seed))
-    small = Track(name, make_work(20, np.random.default_rng(seed), drive=20))
-    small.advance(20)
-    before = _resident()
+def peak(name: str, small: Work, work: Work) -> float:
+    """Bytes that a contender adds at its peak to a process that has done a small work, survey and flush, before.
+
+    So the interpreter, the compiled code and the work itself do not count; what the contender allocates does.
+
+    Raises
+    ------
+    MissingError
+        The system is not Linux: no other tells a process to measure its peak anew.
+    """
+    Track(name, small).advance(small.steps - small.survey)
+    gc.collect()
+    before = _forget_peak()
     track = Track(name, work)
     track.advance(min(track.calibrate(), MANY))
-    return _resident() - before
+    return _memory("VmHWM") - before
 
 
-def _resident() -> float:
-    """The process's peak so far [bytes]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1.0 if sys.platform == "darwin" else 1024.0)
+def _forget_peak() -> float:
+    """Have the system take the present memory [bytes], which is returned, for the process's peak."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        raise MissingError("the peak of a process can be measured on Linux alone") from None
+    return _memory("VmRSS")
+
+
+def _memory(field: str) -> float:
+    """What the system says of this process [bytes]."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024.0 * int(next(line for line in lines if line.startswith(f"{field}:")).split()[1])
 
 
 def _serve(pipe: Connection) -> None:
@@ -177,9 +195,25 @@ class Worker:
         far.close()
 
     def __call__(self, method: Any, *arguments: Any) -> Any:
-        """Have the far end call a method of what it holds, or a function, and wait for the result."""
+        """Have the far end call a method of what it holds, or a function, and wait for the result.
+
+        Raises
+        ------
+        TimeoutError
+            It takes longer than `LIMIT`.
+        RuntimeError
+            The process has ended.
+        Exception
+            Whatever the call raises.
+        """
         self._pipe.send((method, arguments))
-        result = self._pipe.recv()
+        if not self._pipe.poll(LIMIT):
+            raise TimeoutError(f"no answer within {LIMIT:g} s")
+        try:
+            result = self._pipe.recv()
+        except EOFError:
+            self._process.join()
+            raise RuntimeError(f"its process ended with exit code {self._process.exitcode}") from None
         if isinstance(result, Exception):
             raise result
         return result

@@ -1,4 +1,4 @@
-"""The work that every contender of the speed benchmarks does: a survey that maps a field, then a drive through it."""
+"""The work that every contender of the benchmark does: a survey that maps a field, then a drive through it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The filters that the speed benchmarks compare, each behind the same few calls."""
+"""The filters that the benchmark of scaling compares, each behind the same few calls."""
 
 from __future__ import annotations
 

@@ -8,6 +8,8 @@
 #include <mrpt/slam/CRangeBearingKFSLAM2D.h>
 
 #include <cmath>
+#include <exception>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -38,6 +40,7 @@ class Filter : public mrpt::slam::CRangeBearingKFSLAM2D {
     }
 
     std::vector<std::pair<CActionCollection::Ptr, CSensoryFrame::Ptr>> steps;
+    std::string complaint;
 };
 
 // The motion of one step in the robot's frame: an exact arc, with noise on speed and turn rate.
@@ -98,9 +101,16 @@ extern "C" void mrpt_prepare(void *handle, const double *u, const double *dt, co
     }
 }
 
-extern "C" void mrpt_run(void *handle) {
+// Take the steps that are laid out. Returns what MRPT has to complain of, or null.
+extern "C" const char *mrpt_run(void *handle) {
     auto &filter = *static_cast<Filter *>(handle);
-    for (auto &step : filter.steps) filter.processActionObservation(step.first, step.second);
+    try {
+        for (auto &step : filter.steps) filter.processActionObservation(step.first, step.second);
+    } catch (const std::exception &error) {
+        filter.complaint = error.what();
+        return filter.complaint.c_str();
+    }
+    return nullptr;
 }
 
 extern "C" void mrpt_read(void *handle, double *x, double *P) { static_cast<Filter *>(handle)->read(x, P); }
