@@ -178,7 +178,12 @@ def demo(
 
     In the end every filter is compared on a few runs of the standing world, where nothing measures the heading.
     """
+    from slamkit.study import prepare
+
     world = WORLDS["loop"]()
+    with _bar(quiet) as bar:
+        bar.add_task("loading (at the first run, compiling: half a minute)", total=None)
+        prepare(FILTERS, [world, WORLDS["standing"]()])
     log = simulate(world, np.random.default_rng(DEMO_SEED))
     _write_log(out / "log", world, log)
     log.save(out / "log.npz")

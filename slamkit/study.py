@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cached_property
 from importlib import import_module
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit import consistency, metrics, se2
+from slamkit.compiled import Compiled
 from slamkit.errors import DivergenceError, InputError, LogFileError
 from slamkit.filters import FILTERS, IdealEKFSLAM
 from slamkit.logs import History, Log, PathLike, read_archive, reading, write_archive
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
     from slamkit.filters.base import LandmarkFilter
 
-__all__ = ["GAUGE_COVARIANCE", "GAUGE_MOTION", "GaugeCheck", "Study", "Trial", "compare", "run_trial"]
+__all__ = ["GAUGE_COVARIANCE", "GAUGE_MOTION", "GaugeCheck", "Study", "Trial", "compare", "prepare", "run_trial"]
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -209,6 +210,30 @@ def compare(
                 store.write(task, part)
             report(len(parts))
     return _study(setup.facts, setup.times, setup.runs, parts, setup)
+
+
+def prepare(filters: Iterable[str], worlds: Iterable[World], *, jobs: int = -1) -> None:
+    """Compile what filters need in worlds, a share in each process, so that a first run does not do it on one core.
+
+    What is compiled is kept on disk, see :func:`compare`, which does this by itself.
+
+    Parameters
+    ----------
+    filters : iterable of str
+        Names of :data:`slamkit.filters.FILTERS`.
+    worlds : iterable of World
+    jobs : int
+        Number of worker processes; -1: one a core.
+
+    Raises
+    ------
+    InputError
+        A name is unknown.
+    """
+    names = list(filters)
+    setups = [_setup(names, w, 1, 0, None, None, None, None, None, 1.0, 0, 0.1) for w in worlds]
+    with _workers(jobs) as parallel:
+        _compile(setups, parallel)
 
 
 def run_trial(
@@ -1224,11 +1249,10 @@ def _performed(
     if not tasks:
         return
     if backend == "processes":
-        from joblib import Parallel, delayed, parallel_config
+        from joblib import delayed
 
-        # One thread each: with more, linear algebra sums in another order, and the result would depend on the jobs.
-        with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
-            parallel = Parallel(return_as="generator_unordered", batch_size=1)
+        with _workers(jobs) as parallel:
+            _compile([setup], parallel)
             yield from parallel(delayed(_labelled)(setup, task) for task in tasks)
         return
     with _client(jobs, backend) as (distributed, client):
@@ -1239,6 +1263,36 @@ def _performed(
                 yield result
         finally:
             client.cancel(futures)
+
+
+@contextmanager
+def _workers(jobs: int) -> Iterator[Any]:
+    """Joblib's worker processes, which last from one call to the next."""
+    from joblib import Parallel, parallel_config
+
+    # One thread each: with more, linear algebra sums in another order, and the result would depend on the jobs.
+    with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
+        yield Parallel(return_as="generator_unordered", batch_size=1)
+
+
+def _compile(setups: Sequence[_Setup], parallel: Any) -> None:
+    """Let each process compile a share: otherwise all of them would begin with the same functions."""
+    from joblib import delayed
+
+    functions: dict[Compiled, None] = {}
+    for setup in setups:
+        for name in setup.filters:
+            # What a filter of the user's own cannot do is recorded in its trials.
+            with suppress(Exception):
+                functions.update(dict.fromkeys(setup.make(name)._compiles()))
+    for _ in parallel(delayed(_compile_one)(f) for f in functions):
+        pass
+
+
+def _compile_one(function: Compiled) -> None:
+    # Likewise what does not compile.
+    with suppress(Exception):
+        _ = function.dispatcher
 
 
 def _labelled(setup: _Setup, task: _Task) -> tuple[_Task, _Part]:

@@ -11,7 +11,7 @@ import importlib
 import platform
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, cached_property
 from pathlib import Path
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 #: gave no finite numbers.
 ACTIVE, ROWS, ACTIVE_THEN, FAILING, STATUS, COLUMNS, WHOLE, CORRECTED, WHOLE_THEN, ODD = range(10)
 
-__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics", "models_of"]
+__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics", "models_of", "needed"]
 
 
 class Compiled:
@@ -47,11 +47,16 @@ class Compiled:
         self.function, self.signature, self.generic = function, signature, generic
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
 
+    @property
+    def uses(self) -> dict[str, Compiled]:
+        """What it calls, by name."""
+        f = self.function
+        return {n: v for n in f.__code__.co_names if isinstance(v := f.__globals__.get(n), Compiled)}
+
     def _over(self, choose: Callable[[Compiled], Any]) -> FunctionType:
         """The function over the same globals, with every `Compiled` among them replaced."""
-        f = self.function
-        used = {n: choose(v) for n in f.__code__.co_names if isinstance(v := f.__globals__.get(n), Compiled)}
-        copy = FunctionType(f.__code__, {**f.__globals__, **used}, f.__name__, f.__defaults__, f.__closure__)
+        f, chosen = self.function, {name: choose(used) for name, used in self.uses.items()}
+        copy = FunctionType(f.__code__, {**f.__globals__, **chosen}, f.__name__, f.__defaults__, f.__closure__)
         copy.__module__, copy.__qualname__ = f.__module__, f.__qualname__
         return copy
 
@@ -62,9 +67,7 @@ class Compiled:
         A function that is read from the cache holds the code of all that it calls, so fragments are not kept there.
         """
         fragments = importlib.import_module(f"{__name__}.fragments")
-        jitted = self._dispatcher(
-            pipeline_class=fragments.FragmentCompiler, no_cpython_wrapper=True, no_cfunc_wrapper=True
-        )
+        jitted = self._dispatcher(pipeline_class=fragments.FragmentCompiler, no_cpython_wrapper=True)
         resolve = jitted.get_call_template
 
         def compiled_first(args: Any, kws: Any) -> Any:
@@ -87,8 +90,8 @@ class Compiled:
 
         # contract lets a·b + c be one instruction; no other rule of floating-point arithmetic is relaxed.
         with cache_folder():
-            jit = numba.njit(fastmath={"contract"}, error_model="numpy", nogil=True, **options)
-            return jit(self._over(lambda c: c.jitted))
+            options |= {"fastmath": {"contract"}, "error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+            return numba.njit(**options)(self._over(lambda c: c.jitted))
 
     def _compile(self, dispatcher: Any) -> Any:
         with cache_folder():
@@ -141,6 +144,18 @@ def compiled(signature: str, *, generic: bool = False) -> Callable[[Callable[...
         return Compiled(function, signature, generic=generic)
 
     return decorate
+
+
+def needed(functions: Sequence[Compiled]) -> list[Compiled]:
+    """These, and what they call as machine code where they run as Python: every function that Python may call."""
+    found, generic = dict.fromkeys(functions), [f for f in functions if f.generic]
+    for f in generic:
+        for used in f.uses.values():
+            if used.generic and used not in generic:
+                generic.append(used)
+            elif not used.generic and not isinstance(used, Intrinsic):
+                found[used] = None
+    return list(found)
 
 
 class Shared:

@@ -5,7 +5,7 @@ That matters three times: a call with two dozen arrays would cost microseconds, 
 30 µs at every call, and Numba's own structures count references at every load of a field.
 """
 
-# mypy: disable-error-code="misc, no-untyped-def, untyped-decorator, no-untyped-call"
+# mypy: disable-error-code="attr-defined, misc, no-untyped-def, untyped-decorator, no-untyped-call"
 # Numba has no type information, and these signatures are written in its own types.
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.datamodel import models as data_models
 from numba.core.datamodel import register_default
-from numba.core.imputils import lower_getattr_generic
+from numba.core.imputils import lower_builtin, lower_getattr_generic
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.extending import NativeValue, intrinsic, unbox
 from numba.np.arrayobj import populate_array
@@ -28,7 +28,6 @@ vector, matrix, cube = types.float64[::1], types.float64[:, ::1], types.float64[
 integers, flags = types.int64[::1], types.boolean[::1]
 
 WORD = 8  # bytes
-POINTER = ir.IntType(8).as_pointer()
 
 
 class TableType(types.Type):
@@ -54,8 +53,50 @@ def _first_words(table: str) -> dict[str, int]:
 
 
 def words(field: Any) -> int:
-    """How many words a field takes: an array its address and its shape, a function its three addresses."""
-    return 1 + field.ndim if isinstance(field, types.Array) else 3 if isinstance(field, types.FunctionType) else 1
+    """How many words a field takes: an array its address and its shape, all else one."""
+    return 1 + field.ndim if isinstance(field, types.Array) else 1
+
+
+class Function(types.Callable, types.Opaque):
+    """Type of a compiled function that is known by its address only.
+
+    Numba's own type of functions can also be one of Python, which makes every call of it a dozen times as much code.
+    """
+
+    def __init__(self, signature: Any) -> None:
+        self.signature = signature
+        super().__init__(name=f"slamkit.Function({signature})")
+
+    def get_call_type(self, context: Any, arguments: Any, keywords: Any) -> Any:
+        """The signature, to which a call casts its arguments."""
+        return self.signature.replace(recvr=self) if len(arguments) == len(self.signature.args) else None
+
+    def get_call_signatures(self) -> tuple[list[Any], bool]:
+        """All signatures, and whether they are templates."""
+        return [self.signature], False
+
+    def get_impl_key(self, signature: Any) -> Any:
+        """Where Numba finds `call_function`."""
+        return Function
+
+
+@register_default(Function)
+class FunctionModel(data_models.PrimitiveModel):
+    """A function is an address."""
+
+    def __init__(self, manager: Any, function: Function) -> None:
+        super().__init__(manager, function, ir.IntType(64))
+
+
+@lower_builtin(Function, Function, types.VarArg(types.Any))
+def call_function(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """A call of the function at an address, as of any other that Numba has compiled."""
+    returned, kinds, convention = signature.return_type, signature.args[1:], context.call_conv
+    function = builder.inttoptr(arguments[0], convention.get_function_type(returned, kinds).as_pointer())
+    status, result = convention.call_function(builder, function, returned, kinds, arguments[1:])
+    with cgutils.if_unlikely(builder, status.is_error):
+        convention.return_status_propagate(builder, status)
+    return result
 
 
 @register_default(TableType)
@@ -82,11 +123,6 @@ def load_field(context: Any, builder: Any, table: TableType, address: Any, field
     kind, first = table.fields[field], table.first_word(field)
     base = builder.inttoptr(address, ir.IntType(64).as_pointer())
     loaded = [builder.load(builder.gep(base, [ir.Constant(ir.IntType(64), first + k)])) for k in range(words(kind))]
-    if isinstance(kind, types.FunctionType):
-        function = cgutils.create_struct_proxy(kind)(context, builder)
-        addresses = [builder.inttoptr(word, POINTER) for word in loaded]
-        function.c_addr, function.py_addr, function.jit_addr = addresses
-        return function._getvalue()
     if isinstance(kind, types.Array):
         array = context.make_array(kind)(context, builder)
         itemsize = context.get_constant(types.intp, np.dtype(str(kind.dtype)).itemsize)
@@ -149,11 +185,9 @@ def _words_of(name: str, field: Any, value: Any) -> list[int]:
     if isinstance(field, types.Array):
         assert value.flags.c_contiguous and value.ndim == field.ndim and value.dtype == str(field.dtype), name
         return [value.ctypes.data, *value.shape]
-    if isinstance(field, types.FunctionType):
+    if isinstance(field, Function):
         result = value.get_compile_result(field.signature)
-        address = result.library.get_pointer_to_function
-        names = result.fndesc.llvm_cfunc_wrapper_name, result.fndesc.llvm_func_name
-        return [address(names[0]), id(value), address(names[1])]
+        return [result.library.get_pointer_to_function(result.fndesc.llvm_func_name)]
     if field is real:
         return [int(np.array(value, dtype=np.float64).view(np.int64))]
     return [int(value)]
@@ -161,7 +195,7 @@ def _words_of(name: str, field: Any, value: Any) -> list[int]:
 
 def function(*arguments: Any, result: Any = void) -> Any:
     """Type of a function; one without a result writes into its last arguments."""
-    return types.FunctionType(result(*arguments))
+    return Function(result(*arguments))
 
 
 state, models, policy = TableType("state"), TableType("models"), TableType("policy")

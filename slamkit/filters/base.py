@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 from slamkit.belief import BLOCK, Belief, Storage
-from slamkit.compiled import FAILING, ROWS, STATUS, Compiled, Models, Policy, call, models_of
+from slamkit.compiled import FAILING, ROWS, STATUS, Compiled, Models, Policy, call, models_of, needed
 from slamkit.errors import (
     DivergenceError,
     InputError,
@@ -658,6 +658,14 @@ class LandmarkFilter:
         if models.compiled:
             return steps.step_at(policy.address, models.address, state.address, u, dt, slots, z)  # type: ignore[no-any-return]
         return self._guarded(steps.step, u, dt, slots, z)
+
+    def _compiles(self) -> list[Compiled]:
+        """Every function that is machine code once the filter has run, what takes longest first."""
+        if not self._models.compiled:
+            return []
+        fields = [*self._policy.fields.values(), *self._models.fields.values()]
+        own = [f for f in fields if isinstance(f, Compiled) and f is not steps.step]
+        return needed([steps.step, steps.run, steps.step_at, *own])
 
     def _guarded(self, step: Compiled, *arguments: Any) -> int:
         """Run a step; a model in Python that raises in the middle of it leaves the belief as it was."""

@@ -49,7 +49,7 @@ def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     G[0, 0] = G[1, 1] = 1.0
     G[0, 1] = G[1, 0] = 0.0
     G[0, 2], G[1, 2] = points[1] - mean[slot + 1], mean[slot] - points[0]
-    points[slot : slot + 2] = mean[slot : slot + 2]
+    points[slot], points[slot + 1] = mean[slot], mean[slot + 1]
 
 
 class ObservabilityConstrainedUKFSLAM(UKFSLAM):
