@@ -471,8 +471,11 @@ class Belief:
         return out
 
     def _resting_rows(self, at: Indices) -> Array:
-        """P⁰[at, A₀] (len(at), C)."""
-        return self._entries(at, self.state.columns[: self.state.size[COLUMNS]])
+        """P⁰[at, A₀] (…, C)."""
+        s = self.state
+        rows = self._entries(at, s.columns[: s.size[COLUMNS]])
+        kernels.relate(s, rows.reshape(-1, rows.shape[-1]))
+        return rows
 
     # -- the cycle ----------------------------------------------------------------------------------------------------
 
