@@ -948,28 +948,114 @@ def test_any_course_of_events_is_dense_algebra(acts: list[str], landmarks: int, 
     close(b.covariance, dense.P, 1e-7)
 
 
-# -- the long runs
+# -- the digits that a compression costs, and the long runs
+
+
+def apart(f: tuple[Any, Any], g: tuple[Any, Any]) -> Any:
+    """How far two states lie apart: x beside its largest entry, and P beside the deviations that it correlates."""
+    (x, P), (y, Q) = f, g
+    deviations = np.sqrt(np.diag(Q))
+    return np.array([np.abs(x - y).max() / np.abs(y).max(), np.abs((P - Q) / np.outer(deviations, deviations)).max()])
+
+
+def round_once_more(f: Any, rng: np.random.Generator) -> None:
+    """Move every entry of a covariance that is not compressed by its last digit."""
+    s, D = f._belief.state, f._belief.dim
+    s.cov[:D, :D] *= 1 + np.finfo(float).eps / 2 * rng.choice([-1.0, 1.0], (D, D))
+
+
+@every_order
+@pytest.mark.parametrize("name", ["fej", "oc", "ideal"])
+def test_an_uncertain_frame_costs_no_digits(name: str, order: str) -> None:
+    """A compressed filter is as near to the filter as one that rounds P differently, wherever the frame may be.
+
+    These filters never learn where their frame is. Its variance, up to 100 m² here, is in every entry of P, and an
+    update must leave it alone to the last digit: Φ and Ψ in coordinates of the map would make that a difference of
+    large numbers, and the filters 3e-9 to 8e-9 apart. As they are it is 1e-12 to 3e-12, and the twin's 1e-12 to 2e-12.
+    """
+    world, log = survey()
+    options = {"pose_covariance": np.diag([4.0, 4.0, 0.09]), "order": order}
+    if name == "ideal":
+        options["truth"] = log.truth
+    storages = STORAGES["whole"], UNCOMPRESSED, UNCOMPRESSED
+    f, g, twin = (ALL[name](world.motion, world.sensor, pose=world.pose, storage=s, **options) for s in storages)
+    rng = np.random.default_rng(0)
+    for step in log:
+        for h in (f, g, twin):
+            take(h, step)
+        round_once_more(twin, rng)
+    assert f._belief.compressed
+    assert np.all(apart((f.x, f.P), (g.x, g.P)) <= 20 * apart((twin.x, twin.P), (g.x, g.P)))
+
+
+LONG = 20_000  # steps of 0.1 s, at 1 m/s
+
+
+def long_course(name: str, order: str, storage: Storage | str, rng: np.random.Generator | None = None) -> Iterator[Any]:
+    """The filter after every tenth of a long drive; halfway, twenty landmarks are taken out of the map.
+
+    With `rng` the covariance is rounded once more after every step.
+    """
+    world, log = survey(100, LONG, 0.1, 5.0, 7)
+    f = make(name, storage, (world, log), order=order)
+    for first in range(0, LONG, LONG // 10):
+        if first == LONG // 2:
+            for i in f.landmark_ids[3:83:4]:
+                f.remove(i)
+        course = part(log, first, first + LONG // 10)
+        if rng is None:
+            f.run(course)
+        else:
+            for step in course:
+                take(f, step)
+                round_once_more(f, rng)
+        yield f
+
+
+@cache
+def long_reference(name: str, order: str) -> tuple[list[Any], Any]:
+    """Ids and states of an uncompressed filter after each tenth, and how far another that rounds P differently is."""
+    states = [(f.landmark_ids, f.x, f.P) for f in long_course(name, order, UNCOMPRESSED)]
+    twins = [(f.x, f.P) for f in long_course(name, order, UNCOMPRESSED, np.random.default_rng(0))]
+    return states, np.max([apart(twin, (x, P)) for twin, (_, x, P) in zip(twins, states, strict=True)], axis=0)
 
 
 @pytest.mark.slow
 @every_compressing
 @every_order
 @every_storage
-def test_twenty_thousand_steps(name: str, order: str, storage: str) -> None:
-    long = survey(100, 20_000, 0.1, 5.0, 7)
-    f, g = (with_removals(make(name, s, long, order=order), long[1], 10_000) for s in (storage, UNCOMPRESSED))
-    assert f._belief.compressed
-    equal(f, g)
-    sound(f)
+def test_twenty_thousand_steps(name: str, order: str, storage: str, flushes: Counter[int]) -> None:
+    """Compressed equals uncompressed to 1e-9, and to what another rounding of P does in as many steps.
+
+    Nothing brings a filter's frame back to where it was: what rounding moves it by adds up. That, and not compression,
+    is what two correct filters differ by after a long drive, a few 1e-11 in those that never learn their heading.
+    """
+    states, rounding = long_reference(name, order)
+    for f, (ids, x, P) in zip(long_course(name, order, storage), states, strict=True):
+        assert f._belief.compressed
+        assert f.landmark_ids == ids
+        difference = apart((f.x, f.P), (x, P))
+        assert np.all(difference <= 1e-9), difference
+        assert np.all(difference <= 10 * rounding), (difference, rounding)
+        sound(f)
+    assert flushes.total() > 100
+    # Most of what was removed is found again.
+    assert len(states[-1][0]) > len(states[4][0]) > 90
+
+
+#: How the map of 30 is kept: as it is by default, and compressed.
+KEPT = {"plain": Storage(), **STORAGES}
 
 
 @pytest.mark.slow
 @every_compressing
-@every_storage
+@pytest.mark.parametrize("storage", KEPT)
 def test_a_million_updates(name: str, storage: str) -> None:
+    """P stays symmetric and positive definite."""
     long = survey(30, 125_000, 0.1, 6.0, 5)
     log = long[1]
-    f = make(name, storage, long)
+    f = make(name, KEPT[storage], long)
     f.run(log)
     assert len(f.landmark_ids) == 30 and len(log.observations) > 10**6
+    assert f._belief.compressed == (storage != "plain")
     sound(f)
