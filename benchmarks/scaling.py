@@ -260,7 +260,7 @@ def measure(field: Field, landmarks: int, rounds: int, scattered: bool) -> dict[
                 # Paired by round: what slows the machine down for a while slows both.
                 "ratio": quartiles(np.array(entry.seconds) / entry.peer) if entry.peer and name != PEER else None,
                 "times_faster_than_filterpy": quartiles(np.array(entry.filterpy) / entry.seconds)
-                if entry.filterpy and name != FILTERPY
+                if entry.filterpy and name.startswith("slamkit")
                 else None,
             }
             for name, entry in times.items()

@@ -28,7 +28,7 @@ class Smoother:
     besides there is `LEAST`. With less noise and less of these, the difference goes to zero (tests/test_contenders.py).
     """
 
-    tolerance: ClassVar[float] = 0.3
+    tolerance: ClassVar[float] = 1.0  # 0.9 is the most that has been seen, at 10,000 landmarks; 0.2 on smaller maps
     defers: ClassVar[bool] = False
     grows: ClassVar[bool] = True
 
