@@ -215,7 +215,8 @@ def compare(
 def prepare(filters: Iterable[str], worlds: Iterable[World], *, jobs: int = -1) -> None:
     """Compile what filters need in worlds, a share in each process, so that a first run does not do it on one core.
 
-    What is compiled is kept on disk, see :func:`compare`, which does this by itself.
+    What is compiled is kept on disk. :func:`compare` does this by itself; do it earlier where something else, on one
+    core, would compile first.
 
     Parameters
     ----------

@@ -249,7 +249,7 @@ def models_of(motion: Any, sensor: Any, motion_params: Any, sensor_params: Any, 
 
 
 class Policy(Shared):
-    """What distinguishes one estimator: five functions and three numbers, see `slamkit.filters.steps`."""
+    """What distinguishes one estimator, and the step that all have in common, see `slamkit.filters.steps`."""
 
     kind = "policy"
 

@@ -17,6 +17,8 @@ estimator stands in its policy:
     moves the mean by dx, in the estimator's own error coordinates.
 ``report(state, pose, covariance)``
     writes the pose and its covariance in standard coordinates.
+``step(policy, models, state, u, dt, slots, z)``
+    the step itself, `step` below: by its address, so that it is machine code once and not in each caller.
 ``gate, iterations, batch``
     largest NIS that is accepted; linearisations of an update; whether a scan is one stacked update.
 """
