@@ -1014,10 +1014,20 @@ def long_course(name: str, order: str, storage: Storage | str, rng: np.random.Ge
 
 @cache
 def long_reference(name: str, order: str) -> tuple[list[Any], Any]:
-    """Ids and states of an uncompressed filter after each tenth, and how far another that rounds P differently is."""
+    """Ids and states of an uncompressed filter after each tenth, and how far others that round P differently are.
+
+    That is the furthest of three: one by itself may be ten times nearer than the next, where it happens to round well
+    when the map begins.
+    """
     states = [(f.landmark_ids, f.x, f.P) for f in long_course(name, order, UNCOMPRESSED)]
-    twins = [(f.x, f.P) for f in long_course(name, order, UNCOMPRESSED, np.random.default_rng(0))]
-    return states, np.max([apart(twin, (x, P)) for twin, (_, x, P) in zip(twins, states, strict=True)], axis=0)
+    differences = [
+        apart((f.x, f.P), (x, P))
+        for seed in range(3)
+        for f, (_, x, P) in zip(
+            long_course(name, order, UNCOMPRESSED, np.random.default_rng(seed)), states, strict=True
+        )
+    ]
+    return states, np.max(differences, axis=0)
 
 
 @pytest.mark.slow
