@@ -30,7 +30,12 @@ class Run:
 
     def start(self) -> None:
         """Map the landmarks."""
+        self._drop()
         self.filter = self.work.surveyed()
+
+    def _drop(self) -> None:
+        """Let the filter before go, so that its memory does not count as the new one's."""
+        vars(self).pop("filter", None)
 
     def ready(self, begin: int, end: int) -> Callable[[], object]:
         """A log of the steps."""
@@ -84,6 +89,7 @@ class Spread(Step):
 
     def start(self) -> None:
         """Map the landmarks."""
+        self._drop()
         self.filter = self.work.surveyed(Storage(flush_work=FLUSH_WORK))
 
 
