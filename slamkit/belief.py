@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from math import isqrt
 from types import FrameType
 from typing import Any
@@ -24,8 +25,9 @@ from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpstrf
 
 from slamkit import kernels
-from slamkit.compiled import ACTIVE, ACTIVE_THEN, COLUMNS, CORRECTED, ROWS, WHOLE, WHOLE_THEN, State
+from slamkit.compiled import ACTIVE, ACTIVE_THEN, COLUMNS, CORRECTED, LEAD, ROWS, WHOLE, WHOLE_THEN, State
 from slamkit.errors import DivergenceError, InputError, MemoryCapError
+from slamkit.square import LINE, Square, at_a_line
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -72,9 +74,7 @@ class Storage:
     @property
     def cap(self) -> float:
         """Bytes that a covariance may take."""
-        if self.memory_cap is None:
-            return 0.8 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        return self.memory_cap
+        return _machine_memory() if self.memory_cap is None else self.memory_cap
 
     def afford(self, size: int, what: str) -> None:
         """Raise MemoryCapError unless `size` bytes are within the cap."""
@@ -131,8 +131,12 @@ class Belief:
         self.base = b = len(start)
         #: L⁻¹ H P (r, D) of the last update, once the active part no longer holds it.
         self._whole_w: Array | None = None
+        #: The store, where it is square, and another that it may change places with; flushes since the last that was
+        #: due for another reason than that P was read.
+        self._squares: list[Square] = []
+        self._reads = 0
         kept = {"mean": start, "points": start, "cov": np.tril(np.asarray(covariance, dtype=float))}
-        kept |= {"memory": np.zeros(6), "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0, 0], dtype=np.int64)}
+        kept |= {"memory": np.zeros(6), "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0, 0, 0], dtype=np.int64)}
         kept |= {"owner": np.arange(b), "local": np.arange(b), "work": self._terms()}
         room = b + BLOCK * int(min(8, self.storage.compress_above))
         self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, whole=room)
@@ -264,13 +268,21 @@ class Belief:
 
     @property
     def covariance(self) -> Array:
-        """Covariance (D, D), symmetric; a copy, after a flush."""
-        D = self.dim
+        """Covariance (D, D), symmetric, after a flush; read-only where it is not a copy."""
+        s, D = self.state, self.dim
+        if s.size[LEAD]:
+            self.flush()
+        if s.size[LEAD]:
+            return self._squares[0].lend(D)
         self.storage.afford(8 * D * D, f"P of {len(self.slots)} landmarks")
         if not self.compressed:
-            lower: Array = np.tril(self.state.cov[:D, :D])
+            lower: Array = np.tril(s.cov[:D, :D])
             return lower + np.tril(lower, -1).T
+        self._reads += self.active > BASE
         self.flush()
+        if self._reads > 1 and self.storage.flush_work is None and 2 * _square(D) <= self.storage.cap:
+            self._unpack()
+            return self._squares[0].lend(D)
         out = np.empty((D, D))
         kernels.expand(self.state.store, out)
         return out
@@ -280,6 +292,7 @@ class Belief:
         D = self.dim
         if self.compressed:
             self.flush()
+            self._pack()
             kernels.pack(np.ascontiguousarray(value), D, self.state.store)
             D = self.active
         self.state.cov[:D, :D] = np.tril(value[:D, :D])
@@ -351,18 +364,51 @@ class Belief:
             if self._pending:
                 self._correct_rows(self.storage.flush_work)
             else:
+                self._pack()
+                self._reads = 0
                 self._begin_flush()
                 if self.storage.flush_work is None:
                     self._correct_rows(None)
 
     def flush(self) -> None:
         """Bring everything that rests up to date; then only the base is active. Nothing where nothing rests."""
-        if self.compressed:
-            with _undisturbed():
+        if not self.compressed:
+            return
+        if self.state.size[LEAD] and self.dim <= len(self.state.rest):
+            if self.active > BASE or not self._rested:
+                self._begin_flush()
+            return
+        with _undisturbed():
+            self._pack()
+            self._correct_rows(None)
+            if self.active > BASE or not self._rested:
+                self._begin_flush()
                 self._correct_rows(None)
-                if self.active > BASE or not self._rested:
-                    self._begin_flush()
-                    self._correct_rows(None)
+
+    def _unpack(self) -> None:
+        """Let the store be square: then P may be read as it stands there."""
+        s, panels = self.state, len(self.state.rest) // PANEL
+        if not s.size[LEAD]:
+            square = Square(PANEL * panels)
+            kernels.expand(s.store, square.store.reshape(-1, square.lead)[: self.dim])
+            self._squares = [square]
+            s.size[LEAD] = square.lead
+            s.replace(store=square.store)
+
+    def _pack(self) -> None:
+        """Let the store be a packed triangle: all but reading P at every step goes by that."""
+        s = self.state
+        if s.size[LEAD]:
+            square, store = self._squares[0], np.zeros(_packed(len(s.rest)) // 8)
+            kernels.pack(square.store.reshape(-1, square.lead), min(self.dim, len(s.rest)), store)
+            self._squares = []
+            s.size[LEAD] = 0
+            s.replace(store=store)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Copies of a square store would share its memory, or lie across the cache lines.
+        self._pack()
+        return self.__dict__
 
     @property
     def _pending(self) -> bool:
@@ -379,47 +425,86 @@ class Belief:
     def _rested(self) -> bool:
         """Whether the base's rows in the store are as they are now."""
         s = self.state
-        here = [s.store[kernels.place(i, j)] for i in range(BASE) for j in range(i + 1)]
+        here = [self._entries(np.arange(BASE), np.arange(BASE))[i, j] for i in range(BASE) for j in range(i + 1)]
         now = [s.cov[i, j] for i in range(BASE) for j in range(i + 1)]
         still = bool(np.array_equal(s.Phi[:BASE, :BASE], np.eye(BASE)))
         return still and here == now and bool(np.array_equal(s.rest[:BASE], s.mean[:BASE]))
 
     def _begin_flush(self) -> None:
-        """Move what is active, but for the base, to what rests; the correction of the rest is pending then."""
+        """Move what is active, but for the base, to what rests; the correction of the rest is pending then.
+
+        That of a square store is done at once.
+        """
         s, D, whole, C = self.state, self.active, self.dim, int(self.state.size[COLUMNS])
+        if s.size[LEAD]:
+            self._flush_square()
+            return
         self._grow_store(whole)
-        owner = s.owner[:D].copy()
         if C == 0:
             self._keep_gain(np.zeros((whole, 0)))
             kernels.pack(s.cov, D, s.store)
             s.rest[:D], s.rest_points[:D] = s.mean[:D], s.points[:D]
         else:
-            V = np.zeros((-(-whole // PANEL) * PANEL, C))
+            owner, V = s.owner[:D], np.zeros((-(-whole // PANEL) * PANEL, C))
             kernels.collect(s, V[:whole])
             self._keep_gain(V[:whole])
             moved, cross = V[:whole] @ s.theta[:C], V[:whole] @ s.Phi[:D, :C].T
             V[owner] = 0.0
-            V = V @ _half(self._Psi)
+            scale, order, L = _decomposed(s, C)
+            B = np.zeros((C, len(L)))
+            B[order - 1] = scale[order - 1, None] * L.T
+            V = V @ B
             # What may want for memory is done; from here on the belief changes.
             s.rest[:whole] += moved
             kernels.deposit(s, cross)
             s.rest[owner], s.rest_points[owner] = s.mean[:D], s.points[:D]
             s.replace(V=V)
             s.size[CORRECTED] = 0
+        self._keep_base()
+
+    def _keep_base(self) -> None:
+        """What is active has been put down in the store: from now on only the base is."""
+        s = self.state
         if len(s.theta) < BASE:
             kept = {**s.fields, "cov": s.cov[:BASE, :BASE]}
+            s.local[s.owner[: self.active]] = -1
             kept["size"][ACTIVE] = BASE
             capacity = BASE + 8 * BLOCK * max(4, len(s.nis) // 4)
             self._lay_out(kept, capacity, len(s.nis), capacity, len(s.local))
             s = self.state
-        s.local[owner] = -1
-        s.local[:BASE] = s.owner[:BASE] = s.columns[:BASE] = np.arange(BASE)
-        s.size[ACTIVE] = s.size[COLUMNS] = BASE
-        s.Phi[:BASE, :BASE], s.minus_Psi[:BASE, :BASE], s.theta[:BASE] = np.eye(BASE), 0.0, 0.0
-        s.work[0] = 0.0
+        kernels.keep_base(s)
         if self.storage.flush_work is not None:
             # So that the beginning of the next flush is within the work of a step as well.
-            s.work[3] = max(4 * BASE, np.sqrt(self.storage.flush_work / (6 * whole)))
+            s.work[3] = max(4 * BASE, np.sqrt(self.storage.flush_work / (6 * self.dim)))
+
+    def _flush_square(self) -> None:
+        """A flush of a square store, at once, both triangles: into the same memory, or into other if that is lent."""
+        s, C, rows = self.state, int(self.state.size[COLUMNS]), int(self.state.size[ROWS])
+        square = self._squares[0]
+        target = square if not square.lent else self._another_square()
+        n = -(-self.dim // LINE) * LINE
+        M = np.empty((C, n))
+        kernels.collect_rows(s, M)
+        rows = rows if s.size[ACTIVE_THEN] >= 0 else 0
+        scale, order, L = _decomposed(s, C)
+        rank = -(-len(L) // kernels.UNROLLED) * kernels.UNROLLED
+        X = np.zeros((rank + 1 + BASE + self.active - C + rows, C))
+        kernels.factors(s, scale, order, L, X)
+        W, V, gain = X @ M, at_a_line(np.empty(n * rank + LINE)), np.empty((rows, self.dim))
+        # What may want for memory is done; from here on the belief changes.
+        if rows:
+            self._whole_w = gain
+        if target is square:
+            kernels.flush_square(s, target.store, True, W, V, gain)
+            return
+        with _undisturbed():
+            kernels.flush_square(s, target.store, False, W, V, gain)
+            self._squares = [target, square]
+            s.replace(store=target.store)
+
+    def _another_square(self) -> Square:
+        """Memory for a square store that nobody holds: two that change places do for who holds one P at a time."""
+        return next((spare for spare in self._squares[1:] if not spare.lent), None) or Square(len(self.state.rest))
 
     def _grow_store(self, whole: int) -> None:
         """Make the store and the vectors beside it as long as the map.
@@ -464,8 +549,8 @@ class Belief:
         """P⁰[rows, columns] (…, p, q) of lists (…, p) and (…, q), as the last flush leaves it."""
         s = self.state
         i, j = np.maximum(rows[..., None], columns[..., None, :]), np.minimum(rows[..., None], columns[..., None, :])
-        p = i // PANEL
-        out: Array = s.store[PANEL * (p + 1) * (i - PANEL // 2 * p) + j]
+        p, lead = i // PANEL, s.size[LEAD]
+        out: Array = s.store[lead * i + j if lead else PANEL * (p + 1) * (i - PANEL // 2 * p) + j]
         if self._pending:
             out -= np.where(i >= s.size[CORRECTED], s.V[rows] @ s.V[columns].swapaxes(-1, -2), 0.0)
         return out
@@ -502,6 +587,7 @@ class Belief:
         if not self.compressed:
             return np.asarray(self.covariance @ X)
         self.flush()
+        self._pack()
         D, out = self.dim, np.zeros(X.shape)
         for row in range(0, D, PANEL):
             end = min(row + PANEL, D)
@@ -539,6 +625,7 @@ class Belief:
             retract(s)
             return
         self.flush()
+        self._pack()
         w = self._whole_w
         assert w is not None
         V = np.zeros((-(-self.dim // PANEL) * PANEL, rows))
@@ -621,6 +708,7 @@ class Belief:
         if self._whole_w is not None:
             self._whole_w = np.delete(self._whole_w, [i for i in (slot, slot + 1) if i < self._whole_w.shape[1]], 1)
         if self.compressed:
+            self._pack()
             kernels.squeeze(s.store, slot, D)
             for vector in (s.rest, s.rest_points):
                 vector[: D - BLOCK] = vector[rest]
@@ -687,6 +775,8 @@ class Belief:
     def arrays(self) -> dict[str, Array | Indices]:
         """What `take` needs to go on bit for bit, after a flush."""
         self.flush()
+        self._pack()
+        self._reads = 0
         s, D, rows = self.state, self.active, int(self.state.size[ROWS])
         kept = {
             **{n: getattr(s, n) for n in ("size", "work", "memory", "F", "Q", "rest", "rest_points", "store")},
@@ -705,6 +795,7 @@ class Belief:
             The arrays do not fit each other or the ids.
         """
         size = np.array(arrays["size"], dtype=np.int64)
+        self._squares, self._reads = [], 0
         D, whole, C, rows = int(size[ACTIVE]), int(size[WHOLE]), int(size[COLUMNS]), int(size[ROWS])
         self.slots = {i: self.base + BLOCK * n for n, i in enumerate(ids)}
         panels = len(arrays["rest"]) // PANEL
@@ -758,26 +849,35 @@ def _undisturbed() -> Iterator[None]:
             ours(*heard[0])
 
 
+@cache
+def _machine_memory() -> float:
+    """Four fifths of the machine's memory [bytes]."""
+    return 0.8 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
 def _vectors(n: int) -> int:
     """The least multiple of four ≥ n: compiled code works on whole vectors of four numbers."""
     return -(-n // 4) * 4
 
 
-def _half(A: Array) -> Array:
-    """B (n, r) with B Bᵀ = A, of the rank r of A (n, n), symmetric positive semidefinite."""
-    scale = np.sqrt(np.maximum(np.diag(A), 0.0))
-    inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0.0)
-    # With a diagonal of ones what is cut off is within rounding of every entry, whatever its unit.
-    L, order, rank, _ = dpstrf(inverse[:, None] * A * inverse, lower=1)
-    B = np.zeros((len(A), rank))
-    B[order - 1] = np.tril(L[:, :rank])
-    return np.asarray(scale[:, None] * B)
+def _decomposed(state: State, C: int) -> tuple[Array, Indices, Array]:
+    """Scale d (C,), order o (C,), from 1 on, and L (r, C), r the rank of Ψ: (Lᵀ L)_ij d_oi d_oj = Ψ_oi,oj."""
+    A, scale = np.empty((C, C)), np.empty(C)
+    kernels.scaled(state, A, scale)
+    L, order, rank, _ = dpstrf(A, lower=1)
+    return scale, order.astype(np.int64), L.T[:rank]
 
 
 def _packed(dim: int) -> int:
     """Bytes of a packed triangle."""
     panels = -(-dim // PANEL)
     return 4 * PANEL**2 * panels * (panels + 1)
+
+
+def _square(dim: int) -> int:
+    """Bytes of a square store."""
+    capacity = -(-dim // PANEL) * PANEL
+    return 8 * capacity * (capacity + LINE)
 
 
 def _add(state: State) -> None:

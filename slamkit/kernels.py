@@ -2,7 +2,7 @@
 
 ``state.cov`` holds the lower triangle of the active part P_AA; what stands above the diagonal means nothing.
 D = ``state.size[ACTIVE]`` is its dimension. What is not active rests: its covariance as of the last flush is P⁰,
-packed in ``state.store``, and every correction since then is kept in small matrices (Guivant & Nebot, IEEE TRA 17(3),
+held in ``state.store``, and every correction since then is kept in small matrices (Guivant & Nebot, IEEE TRA 17(3),
 2001, with an active set that grows). With A₀ the C = ``state.size[COLUMNS]`` coordinates that rested at the flush and
 are active now, b what rests still and M = P⁰[A₀, b]:
 
@@ -20,7 +20,7 @@ from __future__ import annotations
 from math import isfinite, sqrt
 from typing import Any
 
-from slamkit.compiled import ACTIVE, COLUMNS, CORRECTED, WHOLE, compiled, intrinsics
+from slamkit.compiled import ACTIVE, ACTIVE_THEN, COLUMNS, CORRECTED, LEAD, WHOLE, WHOLE_THEN, compiled, intrinsics
 
 __all__ = [
     "absorb",
@@ -29,11 +29,15 @@ __all__ = [
     "augment",
     "cholesky",
     "collect",
+    "collect_rows",
     "deposit",
     "downdate",
     "expand",
+    "factors",
+    "flush_square",
     "forward",
     "is_finite",
+    "keep_base",
     "pack",
     "place",
     "project",
@@ -41,6 +45,7 @@ __all__ = [
     "record",
     "relate",
     "save",
+    "scaled",
     "shear",
     "squeeze",
     "undo",
@@ -53,6 +58,10 @@ PANEL = 64
 #: ``(M, i, x, y, a, b, n)``: row i, or rows i … i + 3, of M -= x[i] a + y[i] b in their first n columns at least;
 #: arrays must have room up to a multiple of four columns.
 subtract_row, subtract_four_rows = intrinsics("vectors", "subtract_row", "subtract_four_rows")
+
+#: See `slamkit.compiled.vectors`; TILE rows and columns at a time, of a rank that is a multiple of UNROLLED.
+subtract_tile, subtract_tile_into = intrinsics("vectors", "subtract_tile", "subtract_tile_into")
+TILE, UNROLLED = 8, 4
 
 #: A belief with room for no more than this is saved before a step, not asked beforehand whether the step will work.
 SMALL = 48
@@ -469,6 +478,13 @@ def place(i: int, j: int) -> Any:
     return PANEL * (p + 1) * (i - PANEL // 2 * p) + j
 
 
+@compiled("index(state, index, index)")
+def place_in(state: Any, i: int, j: int) -> Any:
+    """Where entry (i, j), i ≥ j, stands in ``state.store``."""
+    lead = state.size[LEAD]
+    return lead * i + j if lead > 0 else place(i, j)
+
+
 @compiled("void(state, matrix)")
 def relate(state: Any, M: Any) -> None:
     """Rows P⁰[i, A₀] in coordinates of the map ← the same with A₀ in its own: O(C) each."""
@@ -488,7 +504,7 @@ def resting_row(state: Any, index: int, out: Any) -> None:
     pending = V.shape[1]
     for c in range(state.size[COLUMNS]):
         i, j = max(columns[c], index), min(columns[c], index)
-        total = store[place(i, j)]
+        total = store[place_in(state, i, j)]
         if i >= state.size[CORRECTED]:
             for r in range(pending):
                 total -= V[i, r] * V[j, r]
@@ -530,7 +546,7 @@ def activate(state: Any, slot: int) -> Any:
         # P_jj, and for the second coordinate the entry beside it too; `product` is -Ψc, for -Ψ is what is kept.
         for q in range(r + 1):
             i, j = index, slot + q
-            total = state.store[place(i, j)]
+            total = state.store[place_in(state, i, j)]
             if i >= size[CORRECTED]:
                 for p in range(state.V.shape[1]):
                     total -= state.V[i, p] * state.V[j, p]
@@ -564,7 +580,7 @@ def activate(state: Any, slot: int) -> Any:
 
 @compiled("void(state, matrix)")
 def collect(state: Any, V: Any) -> None:
-    """V (whole, C) ← P⁰[:, A₀]; nothing may be pending."""
+    """V (whole, C) ← P⁰[:, A₀] of a packed store; nothing may be pending."""
     columns, store = state.columns, state.store
     whole = V.shape[0]
     for c in range(V.shape[1]):
@@ -582,7 +598,7 @@ def collect(state: Any, V: Any) -> None:
 
 @compiled("void(state, matrix)")
 def deposit(state: Any, X: Any) -> None:
-    """Write P_bA = X (whole, D) and P_AA into the store; the rows of A in X are not read."""
+    """Write P_bA = X (whole, D) and P_AA into a packed store; the rows of A in X are not read."""
     owner, local, store, cov = state.owner, state.local, state.store, state.cov
     D = state.size[ACTIVE]
     for i in range(X.shape[0]):
@@ -603,6 +619,152 @@ def deposit(state: Any, X: Any) -> None:
             store[place(max(i, j), min(i, j))] = cov[a, b]
 
 
+@compiled("void(state, matrix)")
+def collect_rows(state: Any, M: Any) -> None:
+    """M (C, n) ← P⁰[A₀, :n] of a square store, related as `relate` does it."""
+    columns, rest, store, lead = state.columns, state.rest, state.store, state.size[LEAD]
+    C, n = M.shape
+    for c in range(C):
+        row, source = M[c], store[lead * columns[c] :]
+        for j in range(n):
+            row[j] = source[j]
+    x, y, heading = M[0], M[1], M[2]
+    for c in range(3, C, 2):
+        a, b = M[c], M[c + 1]
+        right, up = rest[columns[c]] - rest[0], rest[columns[c + 1]] - rest[1]
+        for j in range(n):
+            a[j] -= x[j] - up * heading[j]
+            b[j] -= y[j] + right * heading[j]
+
+
+@compiled("void(state, matrix, vector)")
+def scaled(state: Any, A: Any, scale: Any) -> None:
+    """Ψ = diag(scale) A diag(scale) with ones on A's diagonal, or zeros; of A (C, C) the lower triangle, beside zeros.
+
+    With a diagonal of ones what a decomposition of A cuts off is within rounding of every entry, whatever its unit.
+    """
+    Psi, C = state.minus_Psi, A.shape[0]
+    for i in range(C):
+        scale[i] = sqrt(max(-Psi[i, i], 0.0))
+    for i in range(C):
+        for j in range(C):
+            divisor = scale[i] * scale[j]
+            A[i, j] = -Psi[i, j] / divisor if j <= i and divisor > 0.0 else 0.0
+
+
+@compiled("void(state, vector, integers, matrix, matrix)")
+def factors(state: Any, scale: Any, order: Any, L: Any, X: Any) -> None:
+    """Rows of X, zero before: those that M = P⁰[A₀, b] is to be multiplied by for all that a flush of b needs.
+
+    First Bᵀ with B Bᵀ = Ψ, from L Lᵀ = A of `scaled`, which is given transposed (r, C), in an order from 1 on; zeros up
+    to a rank that is a multiple of UNROLLED; then ϑ, Φ of the base and of new landmarks, and L⁻¹HΦ.
+    """
+    C, rank, at = state.size[COLUMNS], L.shape[0], -(-L.shape[0] // UNROLLED) * UNROLLED
+    for k in range(rank):
+        for i in range(C):
+            X[k, order[i] - 1] = scale[order[i] - 1] * L[k, i]
+    for c in range(C):
+        X[at, c] = state.theta[c]
+    known = 3
+    for a in range(state.size[ACTIVE]):
+        if a >= 3 and known < C and state.columns[known] == state.owner[a]:
+            known += 1
+            continue
+        at += 1
+        for c in range(C):
+            X[at, c] = state.Phi[a, c]
+    for r in range(X.shape[0] - 1 - at):
+        for c in range(C):
+            X[at + 1 + r, c] = state.g[r, c]
+
+
+@compiled("void(matrix, index, vector)")
+def tile(W: Any, rank: int, V: Any) -> None:
+    """V ← the first `rank` rows of W, transposed, in tiles as `downdate_square` wants them."""
+    for k in range(rank):
+        row = W[k]
+        for first in range(0, W.shape[1], TILE):
+            at = first * rank + k * TILE
+            for i in range(TILE):
+                V[at + i] = row[first + i]
+
+
+@compiled("void(vector, vector, flag, index, vector, index)")
+def downdate_square(source: Any, target: Any, same: bool, lead: int, V: Any, n: int) -> None:
+    """First n rows and columns of a square store: target ← source - V Vᵀ, both triangles; they may be the `same`.
+
+    n and `lead` are multiples of TILE. A band of rows is taken column by column, so that what is written beyond the
+    diagonal is whole cache lines that follow each other.
+    """
+    rank = V.shape[0] // n
+    for first in range(0, n, 256):
+        last = min(first + 256, n)
+        for j in range(0, last, TILE):
+            if same:
+                for i in range(max(first, j), last, TILE):
+                    subtract_tile(source, target, lead, i, j, V, rank)
+            else:
+                for i in range(max(first, j), last, TILE):
+                    subtract_tile_into(source, target, lead, i, j, V, rank)
+
+
+@compiled("void(state, vector, flag, matrix, vector, matrix)")
+def flush_square(state: Any, target: Any, same: bool, W: Any, V: Any, gain: Any) -> None:
+    """A flush of a square store into `target`, which may be the `same`; W = X P⁰[A₀, :] with X of `factors`.
+
+    V is room for the tiles of the first rows of W. `gain` becomes L⁻¹ H P (rows, D) of the last update, where that
+    was made of what is active.
+    """
+    size, cov, rest, owner, columns, lead = state.size, state.cov, state.rest, state.owner, state.columns, state.size[LEAD]
+    D, whole, C, n = size[ACTIVE], size[WHOLE], size[COLUMNS], W.shape[1]
+    at = V.shape[0] // n
+    tile(W, at, V)
+    downdate_square(state.store, target, same, lead, V, n)
+    row = W[at]
+    for j in range(whole):
+        rest[j] += row[j]
+    known = 3
+    for a in range(D):
+        i = owner[a]
+        rest[i], state.rest_points[i] = state.mean[a], state.points[a]
+        if a >= 3 and known < C and columns[known] == i:
+            known += 1
+            continue
+        at += 1
+        row, out = W[at], target[lead * i : lead * i + whole]
+        for j in range(whole):
+            out[j] = row[j]
+        for b in range(D):
+            out[owner[b]] = cov[max(a, b), min(a, b)]
+        for j in range(whole):
+            target[lead * j + i] = out[j]
+    for r in range(gain.shape[0]):
+        row, out = W[at + 1 + r], gain[r]
+        for j in range(whole):
+            out[j] = row[j] if j < size[WHOLE_THEN] else 0.0
+        for a in range(size[ACTIVE_THEN]):
+            out[owner[a]] = state.w[r, a]
+    if gain.shape[0] > 0:
+        size[ACTIVE_THEN] = -1
+    keep_base(state)
+
+
+@compiled("void(state)")
+def keep_base(state: Any) -> None:
+    """After a flush only the base is active."""
+    size, owner, columns, local, Phi, Psi = state.size, state.owner, state.columns, state.local, state.Phi, state.minus_Psi
+    for a in range(size[ACTIVE]):
+        local[owner[a]] = -1
+    for i in range(3):
+        local[i] = owner[i] = columns[i] = i
+        state.theta[i] = 0.0
+        for j in range(3):
+            Phi[i, j], Psi[i, j] = 0.0, 0.0
+        Phi[i, i] = 1.0
+    size[ACTIVE] = size[COLUMNS] = 3
+    state.work[0] = 0.0
+
+
 @compiled("void(matrix, index, vector)")
 def pack(M: Any, n: int, store: Any) -> None:
     """Pack the lower triangle of M (n, n)."""
@@ -614,9 +776,12 @@ def pack(M: Any, n: int, store: Any) -> None:
 
 @compiled("void(vector, matrix)")
 def expand(store: Any, M: Any) -> None:
-    """M (n, n), symmetric, ← a packed triangle; eight rows of M at a time take what stands above the diagonal."""
-    n = M.shape[0]
-    flat = M.reshape(n * n)
+    """First n columns of M (n, lead), symmetric, ← a packed triangle.
+
+    Eight rows of M at a time take what stands above the diagonal.
+    """
+    n, lead = M.shape
+    flat = M.reshape(n * lead)
     for first in range(0, n, PANEL):
         width, last = first + PANEL, min(first + PANEL, n)
         start = place(first, 0)
@@ -626,11 +791,11 @@ def expand(store: Any, M: Any) -> None:
             for j in range(first + i + 1):
                 row[j] = a[j]
         for left in range(0, first, 8):
-            at = left * n + first
+            at = left * lead + first
             for i in range(last - first):
                 a = panel[i * width + left : i * width + left + 8]
                 for j in range(8):
-                    flat[at + j * n + i] = a[j]
+                    flat[at + j * lead + i] = a[j]
         for j in range(first, last):
             for i in range(j + 1, last):
                 M[j, i] = panel[(i - first) * width + j]

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 #: Entries of ``State.size``: D of what is active; rows of the last update and D of what was active then (-1 once that
 #: has rested); the failing sighting and the status of the last step; columns C of Φ, D of the whole map, first row of
 #: the store that a flush has yet to correct; D of the whole map at the last update; sightings since the step began that
-#: gave no finite numbers.
-ACTIVE, ROWS, ACTIVE_THEN, FAILING, STATUS, COLUMNS, WHOLE, CORRECTED, WHOLE_THEN, ODD = range(10)
+#: gave no finite numbers; entries from one row of the store to the next, 0 where it is a packed triangle.
+ACTIVE, ROWS, ACTIVE_THEN, FAILING, STATUS, COLUMNS, WHOLE, CORRECTED, WHOLE_THEN, ODD, LEAD = range(11)
 
 __all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics", "models_of", "needed"]
 

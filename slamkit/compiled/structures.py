@@ -204,7 +204,7 @@ STATE_FIELDS = {
     "cov": matrix,  # (capacity, capacity) lower triangle, likewise
     "points": vector,  # (capacity,) where the lever arms of the Jacobians are taken, if not at the mean
     "memory": vector,  # (6,) a variant's own few numbers
-    "size": integers,  # (10,) see ACTIVE and what follows it in `slamkit.compiled`
+    "size": integers,  # (11,) see ACTIVE and what follows it in `slamkit.compiled`
     "work": vector,  # (5,) what decides when to flush, see `slamkit.filters.steps.upkeep`
     "Phi": matrix,  # (capacity, columns) Φ, see `slamkit.kernels`
     "minus_Psi": matrix,  # (columns, columns) lower triangle of -Ψ
@@ -215,7 +215,7 @@ STATE_FIELDS = {
     "local": integers,  # (room,) coordinate of the whole map → active coordinate, or -1 where it rests
     "rest": vector,  # (whole,) mean as of the last flush
     "rest_points": vector,  # (whole,) likewise
-    "store": vector,  # packed covariance as of the last flush, panel after panel
+    "store": vector,  # covariance as of the last flush: its lower triangle, panel after panel, or all of it, row after row
     "V": matrix,  # (whole, r) what a flush under way has yet to subtract is V Vᵀ; r = 0 where none is
     "pose": vector,  # (3,) the pose that the step arrives at
     "F": matrix,  # (3, 3)

@@ -1,4 +1,4 @@
-"""The one loop that is written in vector instructions. Importing this module imports Numba.
+"""The two loops that are written in vector instructions. Importing this module imports Numba.
 
 Numba cannot be told that two arrays do not overlap, so it checks at every row, and it does not keep several rows in
 registers. For the small matrices of a filter that costs as much as the arithmetic.
@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
+from llvmlite.binding import get_host_cpu_features
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
@@ -65,3 +66,86 @@ def _subtract(rows: int) -> Any:
 subtract_row = _subtract(1)
 #: The same for rows i … i + 3.
 subtract_four_rows = _subtract(4)
+
+
+TILE = 8  #: rows and columns of a tile, a cache line of doubles
+UNROLLED = 4  #: terms of a sum that are written out; ranks must be multiples of it
+#: Rows of a tile whose sums are in registers at a time: as many as there is room for.
+TOGETHER = TILE if get_host_cpu_features().get("avx512f") else TILE // 2
+
+
+def _subtract_tile(elsewhere: bool) -> Any:
+    """An intrinsic that leaves its result in place, or elsewhere."""
+
+    @intrinsic
+    def subtract(typing: Any, source: Any, target: Any, lead: Any, i: Any, j: Any, V: Any, rank: Any) -> Any:
+        return types.void(source, target, types.intp, types.intp, types.intp, V, types.intp), generate
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds = signature.args
+        source, target, V = (context.make_array(kinds[k])(context, builder, arguments[k]).data for k in (0, 1, 5))
+        lead, i, j, rank = (arguments[k] for k in (2, 3, 4, 6))
+        vector, number = ir.VectorType(ir.DoubleType(), TILE), ir.IntType(32)
+        byte = ir.IntType(8).as_pointer()
+        prefetch = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(ir.VoidType(), [byte, number, number, number]), "llvm.prefetch.p0"
+        )
+
+        def whole(k: int) -> Any:
+            return context.get_constant(types.intp, k)
+
+        def at(base: Any, index: Any) -> Any:
+            return builder.bitcast(builder.gep(base, [index]), vector.as_pointer())
+
+        def line(base: Any, row: Any, column: Any, r: int) -> Any:
+            return at(base, builder.add(builder.mul(builder.add(row, whole(r)), lead), column))
+
+        def shuffled(a: Any, b: Any, lanes: list[int]) -> Any:
+            return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(number, TILE), lanes))
+
+        def store(values: list[Any], row: Any, column: Any, past_the_caches: bool) -> None:
+            for r in range(TILE):
+                stored = builder.store(values[r], line(target, row, column, r), align=64)
+                if past_the_caches:
+                    stored.set_metadata("nontemporal", builder.module.add_metadata([number(1)]))
+
+        sums = [cgutils.alloca_once(builder, vector) for _ in range(TILE)]
+        for r in range(TILE):
+            builder.store(builder.load(line(source, i, j, r), align=64), sums[r])
+            # Rows below come before the next tile to the right: it will have arrived by then.
+            ahead = builder.bitcast(line(source, i, builder.add(j, whole(TILE)), r), byte)
+            builder.call(prefetch, [ahead, number(0), number(3), number(1)])
+        left, right, end = (builder.mul(k, rank) for k in (i, j, whole(TILE)))
+        for first in range(0, TILE, TOGETHER):
+            with cgutils.for_range_slice(builder, whole(0), end, whole(TILE * UNROLLED), intp=end.type) as (k, _):
+                for q in range(UNROLLED):
+                    place = builder.add(k, whole(TILE * q))
+                    across = builder.load(at(V, builder.add(right, place)), align=64)
+                    for r in range(first, first + TOGETHER):
+                        entry = builder.gep(V, [builder.add(builder.add(left, place), whole(r))])
+                        lane: Any = ir.Constant(vector, ir.Undefined)
+                        lane = builder.insert_element(lane, builder.fneg(builder.load(entry)), number(0))
+                        product = builder.fmul(shuffled(lane, lane, [0] * TILE), across, flags=("contract",))
+                        builder.store(builder.fadd(product, builder.load(sums[r]), flags=("contract",)), sums[r])
+        rows = [builder.load(held) for held in sums]
+        # What is not in the caches yet need not be read before it is written.
+        store(rows, i, j, elsewhere)
+        with builder.if_then(builder.icmp_signed("!=", i, j)):
+            # The transpose: single entries change places, then pairs, then halves.
+            for width in (1, 2, 4):
+                for r in (r for r in range(TILE) if not r & width):
+                    a, b = rows[r], rows[r + width]
+                    rows[r] = shuffled(a, b, [k - width + TILE if k & width else k for k in range(TILE)])
+                    rows[r + width] = shuffled(a, b, [k + TILE if k & width else k + width for k in range(TILE)])
+            store(rows, j, i, True)
+        return context.get_dummy_value()
+
+    return subtract
+
+
+#: ``(source, target, lead, i, j, V, rank)``: target ← source - V Vᵀ in one tile and its transpose beyond the diagonal.
+#: `source` and `target`, the same memory here, hold matrices row after row, `lead` entries apart, and their tiles start
+#: at multiples of 64 bytes. V has its rows in tiles: TILE rows, column after column, then the next TILE.
+subtract_tile = _subtract_tile(elsewhere=False)
+#: The same where `target` is other memory than `source`.
+subtract_tile_into = _subtract_tile(elsewhere=True)

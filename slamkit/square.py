@@ -1,0 +1,68 @@
+"""A symmetric matrix in memory that is lent out: whoever reads all of P at every step need not wait for a copy."""
+
+from __future__ import annotations
+
+import weakref
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LINE = 8  #: doubles of a cache line
+
+
+def at_a_line(memory: Array) -> Array:
+    """All but LINE entries of a vector: those from the first on that starts a cache line."""
+    first = -(memory.ctypes.data // memory.itemsize) % LINE
+    return memory[first : len(memory) - LINE + first]
+
+
+class Square:
+    """Room for a symmetric matrix whose rows start at cache lines.
+
+    Parameters
+    ----------
+    capacity : int
+        Rows and columns, a multiple of 64.
+
+    Attributes
+    ----------
+    lead : int
+        Entries from the start of one row to that of the next: an odd number of cache lines, for the caches keep few
+        lines of those that are a power of two apart.
+    store : ndarray (capacity · lead,)
+        The entries, row after row; zero at first.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self.lead = capacity + LINE
+        self.store = at_a_line(np.zeros(capacity * self.lead + LINE))
+        self._address = self.store.ctypes.data
+        self._loans: weakref.WeakSet[_Loan] = weakref.WeakSet()
+
+    @property
+    def lent(self) -> bool:
+        """Whether somebody still holds what `lend` gave, or a part of it."""
+        return len(self._loans) > 0
+
+    def lend(self, n: int) -> Array:
+        """The first n rows and columns, read-only; as long as somebody holds them, nobody may write to the store."""
+        loan = _Loan(self.store, self._address, self.lead, n)
+        self._loans.add(loan)
+        return np.asarray(loan)
+
+
+class _Loan:
+    """What every array that shows the matrix holds on to, and nobody else."""
+
+    def __init__(self, store: Array, address: int, lead: int, n: int) -> None:
+        self._store = store
+        self.__array_interface__: dict[str, Any] = {
+            "shape": (n, n),
+            "strides": (lead * store.itemsize, store.itemsize),
+            "typestr": store.dtype.str,
+            "data": (address, True),
+            "version": 3,
+        }
