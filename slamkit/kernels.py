@@ -715,8 +715,8 @@ def flush_square(state: Any, target: Any, same: bool, W: Any, V: Any, gain: Any)
     V is room for the tiles of the first rows of W. `gain` becomes L⁻¹ H P (rows, D) of the last update, where that
     was made of what is active.
     """
-    size, cov, rest, owner, columns, lead = state.size, state.cov, state.rest, state.owner, state.columns, state.size[LEAD]
-    D, whole, C, n = size[ACTIVE], size[WHOLE], size[COLUMNS], W.shape[1]
+    size, cov, rest, owner, columns = state.size, state.cov, state.rest, state.owner, state.columns
+    D, whole, C, lead, n = size[ACTIVE], size[WHOLE], size[COLUMNS], size[LEAD], W.shape[1]
     at = V.shape[0] // n
     tile(W, at, V)
     downdate_square(state.store, target, same, lead, V, n)
@@ -752,11 +752,11 @@ def flush_square(state: Any, target: Any, same: bool, W: Any, V: Any, gain: Any)
 @compiled("void(state)")
 def keep_base(state: Any) -> None:
     """After a flush only the base is active."""
-    size, owner, columns, local, Phi, Psi = state.size, state.owner, state.columns, state.local, state.Phi, state.minus_Psi
+    size, owner, Phi, Psi = state.size, state.owner, state.Phi, state.minus_Psi
     for a in range(size[ACTIVE]):
-        local[owner[a]] = -1
+        state.local[owner[a]] = -1
     for i in range(3):
-        local[i] = owner[i] = columns[i] = i
+        state.local[i] = owner[i] = state.columns[i] = i
         state.theta[i] = 0.0
         for j in range(3):
             Phi[i, j], Psi[i, j] = 0.0, 0.0

@@ -22,12 +22,14 @@ from scipy.linalg.blas import dgemm
 
 from slamkit import InputError, Log, Scan, World, belief, kernels
 from slamkit.belief import BASE, BLOCK, PANEL, Belief, Storage
-from slamkit.compiled import ACTIVE, ACTIVE_THEN, CORRECTED, ROWS, WHOLE, WHOLE_THEN
+from slamkit.compiled import ACTIVE, ACTIVE_THEN, CORRECTED, LEAD, ROWS, WHOLE, WHOLE_THEN
 from slamkit.errors import DivergenceError, MemoryCapError
 from slamkit.filters import steps
 from slamkit.gauge import null_directions, nullity
+from slamkit.kernels import TILE
 from slamkit.models import RelativePosition
 from slamkit.simulate import random_world, simulate
+from slamkit.square import LINE, Square, at_a_line
 
 #: The filters whose update leaves alone what is not in sight.
 COMPRESSING = ("ekf", "fej", "oc", "iterated", "ideal", "ukf", "oc-ukf")
@@ -402,6 +404,150 @@ def test_priors_and_posteriors_while_others_compress(name: str) -> None:
         close(f.x_post, g.x)
         close(f.P_post, g.P)
     assert g._belief.compressed
+
+
+# -- P read at every step
+
+
+def read(f: Any) -> Any:
+    """P, and whether it is lent rather than copied."""
+    P = f.P
+    assert np.array_equal(P, P.T) and not P.flags.writeable
+    return P, f._belief.state.size[LEAD] > 0
+
+
+@every_compressing
+@every_order
+def test_a_filter_that_is_read_at_every_step_is_the_filter(name: str, order: str) -> None:
+    """While the map grows, with landmarks removed and the dense update in between."""
+    f, g = make(name, order=order), make(name, UNCOMPRESSED, order=order)
+    rng, lent = np.random.default_rng(4), 0
+    for k, step in enumerate(part(survey()[1], 0, 240)):
+        for h in (f, g):
+            take(h, step)
+        if k == 150:
+            row = rng.normal(size=(1, f.dim_x))
+            for h in (f, g):
+                extra_sensor(h, row @ g.x + 0.01, lambda x, row=row: row @ x, lambda x, row=row: row, R=np.eye(1))
+        if k % 80 == 79:
+            gone = f.landmark_ids[3]
+            for h in (f, g):
+                h.remove(gone)
+        P, is_lent = read(f)
+        lent += is_lent
+        close(f.K, g.K, 1e-8)
+        if k % 30 == 29:
+            deviations = np.sqrt(np.diag(g.P))
+            assert np.all(np.abs(P - g.P) <= 1e-9 * np.outer(deviations, deviations))
+            close(f.x, g.x)
+    assert lent > 200
+    sound(f)
+
+
+@pytest.mark.parametrize("hold", [0, 1, 2, 5])
+def test_what_was_read_stays_as_it_was(hold: int) -> None:
+    """However many are held, whole or in part, and whatever happens to the filter; and nobody can write to them."""
+    f, g, held = make("ekf"), make("ekf", UNCOMPRESSED), []
+    for step in part(survey()[1], 0, 160):
+        for h in (f, g):
+            take(h, step)
+        P, is_lent = read(f)
+        close(P, g.P)
+        if is_lent:
+            with pytest.raises(ValueError, match=r"WRITEABLE|read-only"):
+                P.flags.writeable = True
+        assert all(np.array_equal(a, b) for a, b in held)
+        shown = P if len(held) % 2 else P[2:9, 3:7]
+        held = [*held, (shown, shown.copy())][-hold:] if hold else []
+        del P, shown
+        assert len(f._belief._squares) <= 2
+    assert is_lent
+    f.remove(f.landmark_ids[0])
+    f.P = 2.0 * f.P
+    f.run(part(survey()[1], 160, 300))
+    assert all(np.array_equal(a, b) for a, b in held)
+
+
+def test_who_holds_one_p_at_a_time_has_it_in_one_of_two_places() -> None:
+    f, places = grown("ekf"), set()
+    P = None
+    for step in part(survey()[1], 200, 230):
+        take(f, step)
+        P, is_lent = read(f)
+        places |= {P.ctypes.data} if is_lent else set()
+    assert len(places) == 2
+    for step in part(survey()[1], 230, 240):
+        take(f, step)
+        P = None
+        P, _ = read(f)
+        places.add(P.ctypes.data)
+    assert len(places) == 2
+
+
+def test_who_no_longer_reads_p_pays_no_memory_for_it() -> None:
+    f = grown("ekf")
+    for step in part(survey()[1], 200, 210):
+        take(f, step)
+        is_lent = read(f)[1]
+    assert is_lent
+    f.run(part(survey()[1], 210, 400))
+    assert not f._belief.state.size[LEAD] and not f._belief._squares
+    assert f._belief.state.store.nbytes == packed(len(f.landmark_ids))
+    before = f._belief.state.store
+    f.P.sum(), f.P.sum()
+    assert f._belief.state.store is before  # once does not make a habit
+
+
+@pytest.mark.parametrize("storage", [STORAGES["spread"], Storage(compress_above=5, memory_cap=2e5)])
+def test_p_is_a_copy_where_a_square_has_no_place(storage: Storage) -> None:
+    """With a bound on a step's work, and where memory is short."""
+    f, g = grown("ekf", storage, 400), grown("ekf", UNCOMPRESSED, 400)
+    for step in part(survey()[1], 400, 410):
+        for h in (f, g):
+            take(h, step)
+        P, is_lent = read(f)
+        assert not is_lent
+        close(P, g.P)
+
+
+@every_compressing
+def test_copies_of_a_filter_that_is_read_at_every_step(name: str, tmp_path: Path) -> None:
+    f = grown(name)
+    for step in part(survey()[1], 200, 204):
+        take(f, step)
+        is_lent = read(f)[1]
+    assert is_lent
+    f.step(*_first_of(part(survey()[1], 204, 205)))
+    copies = [copy.deepcopy(f), pickle.loads(pickle.dumps(f))]
+    for step in part(survey()[1], 205, 215):
+        for h in (f, *copies):
+            take(h, step)
+            read(h)
+    assert all(same(h, f) for h in copies)
+    f.save(tmp_path / "f.npz")
+    loaded = type(f).load(tmp_path / "f.npz")
+    for step in part(survey()[1], 215, 225):
+        for h in (f, loaded):
+            take(h, step)
+            read(h)
+    assert same(loaded, f)
+
+
+def _first_of(log: Log) -> Any:
+    step = next(iter(log))
+    return step.u, step.dt, step.scan
+
+
+def test_a_refused_step_changes_nothing_of_what_was_read() -> None:
+    f = grown("ekf")
+    for step in part(survey()[1], 200, 204):
+        take(f, step)
+        P, is_lent = read(f)
+    assert is_lent
+    scan = dict.fromkeys(f.landmark_ids[:3], (1.0, 0.0))
+    with pytest.raises(InputError):
+        f.step((1.0, 0.0), 0.1, {**scan, f.landmark_ids[5]: (-1.0, 0.0)})
+    assert np.array_equal(P, f.P)
 
 
 # -- copies and files
@@ -793,6 +939,36 @@ def test_squeezing_takes_two_rows_out(n: int, seed: int, data: st.DataObject) ->
     kernels.expand(store, out)
     gone = [slot, slot + 1]
     assert np.array_equal(out, np.delete(np.delete(P, gone, 0), gone, 1))
+
+
+@pytest.mark.parametrize("same_place", [True, False])
+@given(n=st.integers(1, 40).map(lambda t: TILE * t), rank=st.sampled_from([0, 4, 8, 20]), seed=seeds)
+@settings(max_examples=15)
+def test_both_triangles_are_corrected(same_place: bool, n: int, rank: int, seed: int) -> None:
+    """In bands and tiles, beside the diagonal and on it; P and nothing else, symmetric to the bit."""
+    rng = np.random.default_rng(seed)
+    source, target = Square(-(-n // PANEL) * PANEL), Square(-(-n // PANEL) * PANEL)
+    P, W = some_covariance(rng, n), rng.normal(size=(rank + 1, n))
+    P = np.tril(P) + np.tril(P, -1).T
+    rows = source.store.reshape(-1, source.lead)
+    rows[:], rows[:n, :n] = 7.0, P
+    into = source if same_place else target
+    V = at_a_line(np.empty(n * rank + LINE))
+    kernels.tile(W, rank, V)
+    kernels.downdate_square(source.store, into.store, same_place, source.lead, V, n)
+    out = into.store.reshape(-1, into.lead)
+    close(out[:n, :n], P - W[:rank].T @ W[:rank], 1e-13)
+    assert np.array_equal(out[:n, :n], out[:n, :n].T)
+    assert np.all(out[n:] == (7.0 if same_place else 0.0)) and np.all(out[:, n:] == (7.0 if same_place else 0.0))
+
+
+def test_a_square_begins_rows_at_cache_lines() -> None:
+    square = Square(PANEL)
+    assert not square.lent
+    shown = square.lend(9)[3:5]
+    assert square.lent and square.lend(9).ctypes.data % 64 == 0 and square.lead % LINE == 0
+    del shown
+    assert not square.lent
 
 
 @given(landmarks=st.integers(1, 9), seed=seeds, data=st.data())

@@ -215,7 +215,7 @@ STATE_FIELDS = {
     "local": integers,  # (room,) coordinate of the whole map → active coordinate, or -1 where it rests
     "rest": vector,  # (whole,) mean as of the last flush
     "rest_points": vector,  # (whole,) likewise
-    "store": vector,  # covariance as of the last flush: its lower triangle, panel after panel, or all of it, row after row
+    "store": vector,  # covariance as of the last flush: one triangle in panels, or both, row after row
     "V": matrix,  # (whole, r) what a flush under way has yet to subtract is V Vᵀ; r = 0 where none is
     "pose": vector,  # (3,) the pose that the step arrives at
     "F": matrix,  # (3, 3)
