@@ -33,12 +33,13 @@ from slamkit.summary import write_json
 
 SIZES = (3, 10, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 PEER = "C++, one triangle"
-RUN, STEP, SPREAD, CALLS, READ = (
+RUN, STEP, SPREAD, CALLS, READ, HOLD = (
     "slamkit, run",
     "slamkit, step",
     "slamkit, step, spread flush",
     "slamkit, predict + observe",
     "slamkit, step + read P",
+    "slamkit, step + hold P",
 )
 FILTERPY = "filterpy, dense"
 FLOORS = "floors"
@@ -50,6 +51,7 @@ FLOORS_FROM = 100  # landmarks; on smaller maps it is the call that takes the ti
 #: Contenders that are not measured at every size: those of other people stop where a step takes about a second.
 ONLY = {
     READ: (500, 1000, 2000),
+    HOLD: (500, 1000, 2000),
     SPREAD: (1000, 2000, 5000, 10000),
     CALLS: range(2001),
     "MRPT": range(2001),
@@ -574,6 +576,7 @@ def main(
     console = Console(highlight=False)
     facts = machine()
     console.print(sentence(facts), soft_wrap=True)
+    out.mkdir(parents=True, exist_ok=True)
     field = Field()
     results: dict[bool, list[dict[str, Any]]] = {False: [], True: []}
     try:
@@ -584,22 +587,30 @@ def main(
                     result = measure(field, n, rounds, scattered)
                 results[scattered].append(result)
                 show(console, result)
+                write(out, facts, field, results, [])
     finally:
         field.close()
     with console.status("memory"):
         memory = peaks(field, [n for n in PEAKS if n in chosen])
-    report: dict[str, Any] = {"drive": results[False], "random": results[True], "memory": memory, "out": field.out}
-    report["targets"] = verdicts(results[False], memory)
+    report = write(out, facts, field, results, memory)
     for name, why in field.out.items():
         console.print(f"{name}: {why}", soft_wrap=True)
     for entry in memory:
         console.print(f"N = {entry['landmarks']}: {entry['contender']} has a peak of {entry['of_P']:.3g} P")
     for verdict in report["targets"]:
         console.print(verdict["line"], soft_wrap=True)
-    out.mkdir(parents=True, exist_ok=True)
+
+
+def write(
+    out: Path, facts: dict[str, Any], field: Field, results: dict[bool, list[dict[str, Any]]], memory: list[Any]
+) -> dict[str, Any]:
+    """Write what is known by now, and return it: the larger maps take long, and who interrupts loses nothing."""
+    report: dict[str, Any] = {"drive": results[False], "random": results[True], "memory": memory, "out": field.out}
+    report["targets"] = verdicts(results[False], memory)
     write_json(out / "scaling.json", {"machine": facts, **report})
     (out / "scaling.md").write_text(markdown(facts, report), encoding="utf-8")
     draw(results[False], out / "scaling.png")
+    return report
 
 
 def show(console: Console, result: dict[str, Any]) -> None:

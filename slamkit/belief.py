@@ -2,7 +2,8 @@
 
 It knows linear algebra and nothing of robots. One triangle of the covariance is kept; no operation forms a dense
 transition, observation or I - KH matrix. A small belief is all active. In a large one only what was touched since the
-last flush is, and the rest is corrected at the next: `slamkit.kernels` has the equations.
+last flush is, and the rest is corrected at the next: `slamkit.kernels` has the equations. Where the whole covariance is
+read after every step both triangles are kept, and lent.
 """
 
 from __future__ import annotations

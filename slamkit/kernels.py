@@ -55,9 +55,11 @@ __all__ = [
 #: Rows of one panel of the packed triangle: panel p is a matrix (PANEL, PANEL (p + 1)), diagonal blocks are square.
 PANEL = 64
 
-#: ``(M, i, x, y, a, b, n)``: row i, or rows i … i + 3, of M -= x[i] a + y[i] b in their first n columns at least;
-#: arrays must have room up to a multiple of four columns.
-subtract_row, subtract_four_rows = intrinsics("vectors", "subtract_row", "subtract_four_rows")
+#: ``(M, i, x, y, a, b, n)``: rows i … i + 3 of M -= x[i] a + y[i] b in their first n columns at least; arrays must
+#: have room up to a multiple of four rows and columns, where what they hold means nothing.
+(subtract_four_rows,) = intrinsics("vectors", "subtract_four_rows")
+
+project_four_below, project_four_beside = intrinsics("vectors", "project_four_below", "project_four_beside")
 
 #: See `slamkit.compiled.vectors`; TILE rows and columns at a time, of a rank that is a multiple of UNROLLED.
 subtract_tile, subtract_tile_into = intrinsics("vectors", "subtract_tile", "subtract_tile_into")
@@ -244,24 +246,18 @@ def absorb(state: Any, gate: float) -> Any:
     f, g, h = (f - L10 * a) * i1, (g - L10 * b) * i1, (h - L10 * c) * i1
     p, q = (p - L10 * d) * i1, (q - L10 * e) * i1
     w0, w1, dx = state.w[0], state.w[1], state.dx
+    first, second, both = (a, b, c, d, e), (f, g, h, p, q), (t0, t1)
+    # Four rows at a time, some twice; what that spoils, rows of the pose and of the landmark itself, comes last.
+    for i in range(3, s, 4):
+        project_four_beside(cov, min(i, s - 4), s, first, second, both, w0, w1, dx)
+    for i in range(s + 2, D, 4):
+        project_four_below(cov, min(i, D - 4), s, first, second, both, w0, w1, dx)
     w0[0], w0[1], w0[2], w0[s], w0[s + 1] = u0 * i0, u1 * i0, u2 * i0, u3 * i0, u4 * i0
     w1[0], w1[1], w1[2] = (v0 - L10 * w0[0]) * i1, (v1 - L10 * w0[1]) * i1, (v2 - L10 * w0[2]) * i1
     w1[s], w1[s + 1] = (v3 - L10 * w0[s]) * i1, (v4 - L10 * w0[s + 1]) * i1
     for i in range(3):
         dx[i] = t0 * w0[i] + t1 * w1[i]
     dx[s], dx[s + 1] = t0 * w0[s] + t1 * w1[s], t0 * w0[s + 1] + t1 * w1[s + 1]
-    for i in range(3, s):
-        row, m, n = cov[i], l0[i], l1[i]
-        x, z, o = row[0], row[1], row[2]
-        w = a * x + b * z + c * o + d * m + e * n
-        v = f * x + g * z + h * o + p * m + q * n
-        w0[i], w1[i], dx[i] = w, v, t0 * w + t1 * v
-    for i in range(s + 2, D):
-        row = cov[i]
-        x, z, o, m, n = row[0], row[1], row[2], row[s], row[s + 1]
-        w = a * x + b * z + c * o + d * m + e * n
-        v = f * x + g * z + h * o + p * m + q * n
-        w0[i], w1[i], dx[i] = w, v, t0 * w + t1 * v
     return nis
 
 
@@ -346,12 +342,9 @@ def whiten(state: Any, rows: int) -> None:
 
 @compiled("void(matrix, index, vector, vector)")
 def subtract_pair(M: Any, n: int, a: Any, b: Any) -> None:
-    """Lower triangle of M (n, n) ← M - aᵀa - bᵀb; what stands above the diagonal is spoilt."""
-    whole = n - n % 4
-    for i in range(0, whole, 4):
+    """Lower triangle of M (n, n) ← M - aᵀa - bᵀb; what stands above it, and in up to three rows after it, is spoilt."""
+    for i in range(0, n, 4):
         subtract_four_rows(M, i, a, b, a, b, i + 4)
-    for i in range(whole, n):
-        subtract_row(M, i, a, b, a, b, i + 1)
 
 
 @compiled("void(state, index)")
@@ -405,11 +398,8 @@ def record(state: Any, n: int, k: int) -> None:
                 w1[i] = 0.0
             for i in range(C):
                 g1[i] = 0.0
-        whole = D - D % 4
-        for i in range(0, whole, 4):
+        for i in range(0, D, 4):
             subtract_four_rows(Phi, i, w0, w1, g0, g1, C)
-        for i in range(whole, D):
-            subtract_row(Phi, i, w0, w1, g0, g1, C)
         subtract_pair(Psi, C, g0, g1)
 
 

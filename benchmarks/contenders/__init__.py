@@ -48,6 +48,7 @@ CONTENDERS = {
     "slamkit, step, spread flush": "slamkit_ekf:Spread",
     "slamkit, predict + observe": "slamkit_ekf:Calls",
     "slamkit, step + read P": "slamkit_ekf:Read",
+    "slamkit, step + hold P": "slamkit_ekf:Hold",
     "MRPT": "mrpt:Davison",
     "iSAM2": "isam2:Smoother",
     "iSAM2 + covariance": "isam2:Joint",

@@ -108,6 +108,21 @@ class Read(Step):
         return go
 
 
+class Hold(Step):
+    """`EKFSLAM.step`, and the whole of P read after each and held until the next has been read."""
+
+    def ready(self, begin: int, end: int) -> Callable[[], object]:
+        """The arguments of each step."""
+        f, arguments = self.filter, self._arguments(begin, end)
+
+        def go() -> None:
+            for u, dt, scan in arguments:
+                f.step(u, dt, scan)
+                held = f.P  # noqa: F841
+
+        return go
+
+
 class Calls(Step):
     """`EKFSLAM.predict`, then `observe` for one sighting after the other."""
 

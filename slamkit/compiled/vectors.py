@@ -1,4 +1,4 @@
-"""The two loops that are written in vector instructions. Importing this module imports Numba.
+"""The loops that are written in vector instructions. Importing this module imports Numba.
 
 Numba cannot be told that two arrays do not overlap, so it checks at every row, and it does not keep several rows in
 registers. For the small matrices of a filter that costs as much as the arithmetic.
@@ -18,13 +18,9 @@ from numba.extending import intrinsic
 WIDTH = 4  #: doubles of one vector; arrays must have room up to a multiple of it
 
 
-def _subtract(rows: int) -> Any:
-    """An intrinsic for that many rows at a time."""
-
-    @intrinsic
-    def subtract(typing: Any, M: Any, i: Any, x: Any, y: Any, a: Any, b: Any, n: Any) -> Any:
-        signature = types.void(M, types.intp, x, y, a, b, types.intp)
-        return signature, generate
+@intrinsic
+def subtract_four_rows(typing: Any, M: Any, i: Any, x: Any, y: Any, a: Any, b: Any, n: Any) -> Any:
+    """Rows r = i … i + 3: M[r, :n] -= x[r] a[:n] + y[r] b[:n], n rounded up to the vector's width."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         kinds = signature.args
@@ -38,13 +34,13 @@ def _subtract(rows: int) -> Any:
 
         def splat(base: Any, index: Any) -> Any:
             lanes: Any = ir.Constant(vector, ir.Undefined)
-            value = builder.fneg(builder.load(builder.gep(base, [index])))
+            value = builder.load(builder.gep(base, [index]))
             for lane in range(WIDTH):
                 lanes = builder.insert_element(lanes, value, ir.Constant(ir.IntType(32), lane))
             return lanes
 
         starts, factors = [], []
-        for r in range(rows):
+        for r in range(4):
             row = builder.add(i, context.get_constant(types.intp, r))
             starts.append(builder.gep(M.data, [builder.mul(row, length)]))
             factors.append((splat(x.data, row), splat(y.data, row)))
@@ -55,17 +51,78 @@ def _subtract(rows: int) -> Any:
                 total, where = builder.load(at(start, j), align=8), at(start, j)
                 for factor, other in ((q, right), (p, left)):
                     product = builder.fmul(factor, other, flags=("contract",))
-                    total = builder.fadd(product, total, flags=("contract",))
+                    total = builder.fsub(total, product, flags=("contract",))
                 builder.store(total, where, align=8)
         return context.get_dummy_value()
 
-    return subtract
+    return types.void(M, types.intp, x, y, a, b, types.intp), generate
 
 
-#: ``(M, i, x, y, a, b, n)``: M[i, :n] -= x[i] a[:n] + y[i] b[:n], n rounded up to the vector's width.
-subtract_row = _subtract(1)
-#: The same for rows i … i + 3.
-subtract_four_rows = _subtract(4)
+def _project(beside: bool) -> Any:
+    """An intrinsic for four rows that stand below the landmark's, or beside them: before the diagonal."""
+
+    @intrinsic
+    def project(
+        typing: Any, P: Any, i: Any, slot: Any, first: Any, second: Any, t: Any, w0: Any, w1: Any, dx: Any
+    ) -> Any:
+        return types.void(P, types.intp, types.intp, first, second, t, w0, w1, dx), generate
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds, i, slot = signature.args, arguments[1], arguments[2]
+        P = context.make_array(kinds[0])(context, builder, arguments[0])
+        length = cgutils.unpack_tuple(builder, P.shape)[1]
+        w0, w1, dx = (context.make_array(kinds[k])(context, builder, arguments[k]).data for k in (6, 7, 8))
+        number = ir.IntType(32)
+
+        def at(base: Any, index: Any, width: int = WIDTH) -> Any:
+            kind = ir.VectorType(ir.DoubleType(), width)
+            return builder.bitcast(builder.gep(base, [index]), kind.as_pointer())
+
+        def row(k: int) -> Any:
+            return builder.gep(P.data, [builder.mul(builder.add(i, context.get_constant(types.intp, k)), length)])
+
+        def mixed(a: Any, b: Any, *lanes: int) -> Any:
+            return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(number, len(lanes)), lanes))
+
+        def splat(value: Any) -> Any:
+            lane: Any = ir.Constant(ir.VectorType(ir.DoubleType(), WIDTH), ir.Undefined)
+            lane = builder.insert_element(lane, value, number(0))
+            return mixed(lane, lane, *[0] * WIDTH)
+
+        def combined(factors: Any, terms: list[Any]) -> Any:
+            total: Any = None
+            for k, term in enumerate(terms):
+                product = builder.fmul(splat(builder.extract_value(factors, k)), term, flags=("contract",))
+                total = product if total is None else builder.fadd(total, product, flags=("contract",))
+            return total
+
+        zero, one = (context.get_constant(types.intp, k) for k in (0, 1))
+        pose = [builder.load(at(row(k), zero), align=8) for k in range(WIDTH)]
+        low = [mixed(pose[k], pose[k + 1], 0, 4, 2, 6) for k in (0, 2)]
+        high = [mixed(pose[k], pose[k + 1], 1, 5, 3, 7) for k in (0, 2)]
+        terms = [mixed(*low, 0, 1, 4, 5), mixed(*high, 0, 1, 4, 5), mixed(*low, 2, 3, 6, 7)]
+        if beside:
+            for index in (slot, builder.add(slot, one)):
+                above = builder.gep(P.data, [builder.mul(index, length)])
+                terms.append(builder.load(at(above, i), align=8))
+        else:
+            pairs = [builder.load(at(row(k), slot, 2), align=8) for k in range(WIDTH)]
+            both = [mixed(pairs[k], pairs[k + 1], 0, 2, 1, 3) for k in (0, 2)]
+            terms += [mixed(*both, 0, 1, 4, 5), mixed(*both, 2, 3, 6, 7)]
+        found = [combined(arguments[k], terms) for k in (3, 4)]
+        for target, values in ((w0, found[0]), (w1, found[1]), (dx, combined(arguments[5], found))):
+            builder.store(values, at(target, i), align=8)
+        return context.get_dummy_value()
+
+    return project
+
+
+#: ``(P, i, slot, first, second, t, w0, w1, dx)``: entries i … i + 3 of w0 ← P h for the five factors `first` of the
+#: pose's columns and the landmark's two, of w1 likewise with `second`, and of dx ← t[0] w0 + t[1] w1. P is a lower
+#: triangle; the rows i … i + 3 come after the landmark's at `slot`.
+project_four_below = _project(beside=False)
+#: The same for rows that come before it, but after the pose's.
+project_four_beside = _project(beside=True)
 
 
 TILE = 8  #: rows and columns of a tile, a cache line of doubles

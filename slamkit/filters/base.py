@@ -472,7 +472,11 @@ class LandmarkFilter:
 
     @property
     def P(self) -> Array:  # noqa: N802
-        """Covariance (D, D) of x; a read-only copy. Assign to change it: ``f.P = 10 * f.P``."""
+        """Covariance (D, D) of x as it is now, read-only. Assign to change it: ``f.P = 10 * f.P``.
+
+        What was read never changes. Who reads it after every step of a large map, and lets go of it before the next but
+        one, pays for no copy.
+        """
         self._settle()
         return _frozen(self._covariance())
 

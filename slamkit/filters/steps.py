@@ -89,6 +89,23 @@ def drop(state: Any, place: int, k: int) -> None:
         state.innovations[place, r] = nan
 
 
+@compiled("flag(policy, models, state, index)", generic=True)
+def linearise_one(policy: Any, models: Any, state: Any, j: int) -> bool:
+    """Linearise sighting j of ``state.slots`` at ``state.at``; False, and it is refused, without finite numbers."""
+    k = models.R.shape[0]
+    at, y, H_pose, H_landmark, first = state.at, state.y, state.H_pose, state.H_landmark, j * k
+    landmark, z = at[3 + 2 * j : 5 + 2 * j], state.z[first : first + k]
+    policy.sensor(models, state, at[:3], landmark, state.slots[j], z, first)
+    total = 0.0
+    for r in range(first, first + k):
+        # A sum is finite only if all of it is, or if it is so large that no filter can use it.
+        total += y[r] + H_pose[r, 0] + H_pose[r, 1] + H_pose[r, 2] + H_landmark[r, 0] + H_landmark[r, 1]
+    if isfinite(total):
+        return True
+    drop(state, state.order[j], k)
+    return False
+
+
 @compiled("index(policy, models, state, index)", generic=True)
 def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
     """Linearise the n sightings in ``state.slots`` at ``state.at``; how many of them gave finite numbers.
@@ -96,25 +113,16 @@ def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
     Those that did not (a landmark that an earlier sighting of the scan moved onto the robot) are refused.
     """
     k = models.R.shape[0]
-    slots, order, z, at, y = state.slots, state.order, state.z, state.at, state.y
-    H_pose, H_landmark = state.H_pose, state.H_landmark
+    slots, order, z, at = state.slots, state.order, state.z, state.at
     kept = 0
     for j in range(n):
-        first = kept * k
         if kept < j:
             slots[kept], order[kept] = slots[j], order[j]
             at[3 + 2 * kept], at[4 + 2 * kept] = at[3 + 2 * j], at[4 + 2 * j]
             for r in range(k):
-                z[first + r] = z[j * k + r]
-        policy.sensor(models, state, at[:3], at[3 + 2 * kept : 5 + 2 * kept], slots[kept], z[first : first + k], first)
-        total = 0.0
-        for r in range(first, first + k):
-            # A sum is finite only if all of it is, or if it is so large that no filter can use it.
-            total += y[r] + H_pose[r, 0] + H_pose[r, 1] + H_pose[r, 2] + H_landmark[r, 0] + H_landmark[r, 1]
-        if isfinite(total):
+                z[kept * k + r] = z[j * k + r]
+        if linearise_one(policy, models, state, kept):
             kept += 1
-        else:
-            drop(state, order[kept], k)
     return kept
 
 
@@ -223,7 +231,7 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
     """
     k = models.R.shape[0]
     aim(state, n)
-    n = linearise(policy, models, state, n)
+    n = linearise(policy, models, state, n) if n > 1 else int(linearise_one(policy, models, state, 0))
     if n == 1 and k == 2 and policy.iterations == 1:
         nis, place = absorb(state, policy.gate), state.order[0]
         state.innovations[place, 0], state.innovations[place, 1], state.nis[place] = state.y[0], state.y[1], nis
