@@ -1,6 +1,6 @@
 """From 3 to 10,000 landmarks: the time and the memory of slamkit beside other people's filters.
 
-    python benchmarks/scaling.py [--sizes 10,100] [--quick] [--no-random] [--out DIR]
+    python benchmarks/scaling.py [--sizes 10,100] [--quick] [--no-random] [--keep] [--out DIR]
 
 A step is 1 prediction and 8 range-bearing sightings of mapped landmarks. Every contender has a process of its own and
 one thread; they take turns, so that whatever else the machine does meets all of them, and each has to agree with
@@ -11,6 +11,7 @@ not, and why. Writes scaling.json, scaling.md and scaling.png.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -274,7 +275,7 @@ def measure(field: Field, landmarks: int, rounds: int, scattered: bool) -> dict[
         result["contenders"][name]["seconds_a_step_later"] = {"after": steps, "seconds": field.ask(name, "aged", steps)}
         field.ask(name, "drop")
     if not scattered:
-        repeats = 3 if landmarks <= 1000 else 2 if landmarks <= 5000 else 1
+        repeats = 3 if landmarks <= 1000 else 2
         for name in field.willing(landmarks, WORST):
             result["contenders"][name]["worst"] = worst(field, work, name, repeats)
     return result
@@ -455,7 +456,7 @@ def markdown(facts: dict[str, Any], report: dict[str, Any]) -> str:
         "",
         *table(["N", *(name for name in names if name != PEER)], ratio_rows(drive, [n for n in names if n != PEER])),
         "A step of slamkit called by itself: the median of a sample's mean, and the slowest of the whole drive (of "
-        "the least that each step takes in 3 repeats; from N = 2000 on 2, at 10,000 one). Either a flush is done at "
+        "the least that each step takes in 3 repeats; from N = 2000 on 2). Either a flush is done at "
         "once, or it is spread over steps.",
         "",
         *table(["N", "at once: mean", "slowest", "spread: mean", "slowest"], worst_rows(drive)),
@@ -569,6 +570,9 @@ def main(
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A look: up to 500 landmarks and three rounds.")] = False,
     random: Annotated[bool, typer.Option(help="The random workload too.")] = True,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Keep what DIR has of other sizes, from an earlier run.")
+    ] = False,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write.")] = Path(__file__).parent / "results",
 ) -> None:
     """Time one step of slamkit and of other people's filters on maps of 3 to 10,000 landmarks."""
@@ -578,20 +582,25 @@ def main(
     console.print(sentence(facts), soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
     field = Field()
-    results: dict[bool, list[dict[str, Any]]] = {False: [], True: []}
+    before = json.loads((out / "scaling.json").read_text(encoding="utf-8")) if keep else {}
+    results: dict[bool, list[dict[str, Any]]] = {
+        scattered: [r for r in before.get(workload, []) if r["landmarks"] not in chosen or (scattered and not random)]
+        for scattered, workload in ((False, "drive"), (True, "random"))
+    }
+    memory = [entry for entry in before.get("memory", []) if entry["landmarks"] not in chosen]
     try:
         for scattered in (False, True) if random else (False,):
             for n in chosen:
                 with console.status(f"{n} landmarks, {'random' if scattered else 'drive'}"):
                     rounds = 3 if quick or n > 1000 else 5 if n > 200 else 9
                     result = measure(field, n, rounds, scattered)
-                results[scattered].append(result)
+                results[scattered] = sorted([*results[scattered], result], key=lambda r: r["landmarks"])
                 show(console, result)
-                write(out, facts, field, results, [])
+                write(out, facts, field, results, memory)
     finally:
         field.close()
     with console.status("memory"):
-        memory = peaks(field, [n for n in PEAKS if n in chosen])
+        memory = sorted([*memory, *peaks(field, [n for n in PEAKS if n in chosen])], key=lambda e: e["landmarks"])
     report = write(out, facts, field, results, memory)
     for name, why in field.out.items():
         console.print(f"{name}: {why}", soft_wrap=True)

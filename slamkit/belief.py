@@ -28,7 +28,7 @@ from scipy.linalg.lapack import dpstrf
 from slamkit import kernels
 from slamkit.compiled import ACTIVE, ACTIVE_THEN, COLUMNS, CORRECTED, LEAD, ROWS, WHOLE, WHOLE_THEN, State
 from slamkit.errors import DivergenceError, InputError, MemoryCapError
-from slamkit.square import LINE, Square, at_a_line
+from slamkit.square import LINE, Square
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -281,8 +281,7 @@ class Belief:
             return lower + np.tril(lower, -1).T
         self._reads += self.active > BASE
         self.flush()
-        if self._reads > 1 and self.storage.flush_work is None and 2 * _square(D) <= self.storage.cap:
-            self._unpack()
+        if self._reads > 1 and self.storage.flush_work is None and self._unpack():
             return self._squares[0].lend(D)
         out = np.empty((D, D))
         kernels.expand(self.state.store, out)
@@ -375,7 +374,7 @@ class Belief:
         """Bring everything that rests up to date; then only the base is active. Nothing where nothing rests."""
         if not self.compressed:
             return
-        if self.state.size[LEAD] and self.dim <= len(self.state.rest):
+        if self.state.size[LEAD] and self.dim <= self._squares[0].capacity:
             if self.active > BASE or not self._rested:
                 self._begin_flush()
             return
@@ -386,22 +385,26 @@ class Belief:
                 self._begin_flush()
                 self._correct_rows(None)
 
-    def _unpack(self) -> None:
-        """Let the store be square: then P may be read as it stands there."""
-        s, panels = self.state, len(self.state.rest) // PANEL
-        if not s.size[LEAD]:
-            square = Square(PANEL * panels)
-            kernels.expand(s.store, square.store.reshape(-1, square.lead)[: self.dim])
-            self._squares = [square]
-            s.size[LEAD] = square.lead
-            s.replace(store=square.store)
+    def _unpack(self) -> bool:
+        """Let the store be square, so that P may be read as it stands there; False where there is no room for two."""
+        s = self.state
+        capacity = min(len(s.rest), -(-6 * self.dim // (5 * PANEL)) * PANEL)
+        if 2 * Square.size(capacity) > self.storage.cap:
+            return False
+        square = Square(capacity)
+        kernels.expand(s.store, square.store.reshape(capacity, square.lead)[: self.dim])
+        self._squares = [square]
+        s.size[LEAD] = square.lead
+        s.replace(store=square.store)
+        return True
 
     def _pack(self) -> None:
         """Let the store be a packed triangle: all but reading P at every step goes by that."""
         s = self.state
         if s.size[LEAD]:
             square, store = self._squares[0], np.zeros(_packed(len(s.rest)) // 8)
-            kernels.pack(square.store.reshape(-1, square.lead), min(self.dim, len(s.rest)), store)
+            stored = square.store.reshape(square.capacity, square.lead)
+            kernels.pack(stored, min(self.dim, square.capacity), store)
             self._squares = []
             s.size[LEAD] = 0
             s.replace(store=store)
@@ -426,10 +429,10 @@ class Belief:
     def _rested(self) -> bool:
         """Whether the base's rows in the store are as they are now."""
         s = self.state
-        here = [self._entries(np.arange(BASE), np.arange(BASE))[i, j] for i in range(BASE) for j in range(i + 1)]
-        now = [s.cov[i, j] for i in range(BASE) for j in range(i + 1)]
+        base = np.arange(BASE)
+        here, now = np.tril(self._entries(base, base)), np.tril(s.cov[:BASE, :BASE])
         still = bool(np.array_equal(s.Phi[:BASE, :BASE], np.eye(BASE)))
-        return still and here == now and bool(np.array_equal(s.rest[:BASE], s.mean[:BASE]))
+        return still and bool(np.array_equal(here, now)) and bool(np.array_equal(s.rest[:BASE], s.mean[:BASE]))
 
     def _begin_flush(self) -> None:
         """Move what is active, but for the base, to what rests; the correction of the rest is pending then.
@@ -480,21 +483,20 @@ class Belief:
 
     def _flush_square(self) -> None:
         """A flush of a square store, at once, both triangles: into the same memory, or into other if that is lent."""
-        s, C, rows = self.state, int(self.state.size[COLUMNS]), int(self.state.size[ROWS])
+        s, C, n = self.state, int(self.state.size[COLUMNS]), -(-self.dim // LINE) * LINE
+        rows = int(s.size[ROWS]) if s.size[ACTIVE_THEN] >= 0 else 0
         square = self._squares[0]
         target = square if not square.lent else self._another_square()
-        n = -(-self.dim // LINE) * LINE
         M = np.empty((C, n))
         kernels.collect_rows(s, M)
-        rows = rows if s.size[ACTIVE_THEN] >= 0 else 0
         scale, order, L = _decomposed(s, C)
         rank = -(-len(L) // kernels.UNROLLED) * kernels.UNROLLED
         X = np.zeros((rank + 1 + BASE + self.active - C + rows, C))
         kernels.factors(s, scale, order, L, X)
-        W, V, gain = X @ M, at_a_line(np.empty(n * rank + LINE)), np.empty((rows, self.dim))
+        W, V, gain = X @ M, target.room(n * rank), np.empty((rows, self.dim))
         # What may want for memory is done; from here on the belief changes.
         if rows:
-            self._whole_w = gain
+            self._whole_w = gain  # not asked for before it is filled
         if target is square:
             kernels.flush_square(s, target.store, True, W, V, gain)
             return
@@ -505,7 +507,8 @@ class Belief:
 
     def _another_square(self) -> Square:
         """Memory for a square store that nobody holds: two that change places do for who holds one P at a time."""
-        return next((spare for spare in self._squares[1:] if not spare.lent), None) or Square(len(self.state.rest))
+        free = [square for square in self._squares[1:] if not square.lent]
+        return free[0] if free else Square(self._squares[0].capacity)
 
     def _grow_store(self, whole: int) -> None:
         """Make the store and the vectors beside it as long as the map.
@@ -873,12 +876,6 @@ def _packed(dim: int) -> int:
     """Bytes of a packed triangle."""
     panels = -(-dim // PANEL)
     return 4 * PANEL**2 * panels * (panels + 1)
-
-
-def _square(dim: int) -> int:
-    """Bytes of a square store."""
-    capacity = -(-dim // PANEL) * PANEL
-    return 8 * capacity * (capacity + LINE)
 
 
 def _add(state: State) -> None:

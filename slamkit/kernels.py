@@ -726,8 +726,14 @@ def flush_square(state: Any, target: Any, same: bool, W: Any, V: Any, gain: Any)
             out[j] = row[j]
         for b in range(D):
             out[owner[b]] = cov[max(a, b), min(a, b)]
-        for j in range(whole):
-            target[lead * j + i] = out[j]
+        if a >= 3:
+            for j in range(whole):
+                target[lead * j + i] = out[j]
+    # The base's columns stand in one cache line.
+    x, y, heading = target[:whole], target[lead : lead + whole], target[2 * lead : 2 * lead + whole]
+    for j in range(3, whole):
+        out = target[lead * j : lead * j + 3]
+        out[0], out[1], out[2] = x[j], y[j], heading[j]
     for r in range(gain.shape[0]):
         row, out = W[at + 1 + r], gain[r]
         for j in range(whole):

@@ -29,6 +29,7 @@ class Square:
 
     Attributes
     ----------
+    capacity : int
     lead : int
         Entries from the start of one row to that of the next: an odd number of cache lines, for the caches keep few
         lines of those that are a power of two apart.
@@ -37,10 +38,22 @@ class Square:
     """
 
     def __init__(self, capacity: int) -> None:
-        self.lead = capacity + LINE
+        self.capacity, self.lead = capacity, capacity + LINE
         self.store = at_a_line(np.zeros(capacity * self.lead + LINE))
         self._address = self.store.ctypes.data
+        self._room = np.empty(0)
         self._loans: weakref.WeakSet[_Loan] = weakref.WeakSet()
+
+    def room(self, n: int) -> Array:
+        """Memory (n,) to work in, from a cache line on; the same at every call."""
+        if len(self._room) < n:
+            self._room = at_a_line(np.empty(n + LINE))
+        return self._room[:n]
+
+    @staticmethod
+    def size(capacity: int) -> int:
+        """Bytes of a matrix of that capacity."""
+        return 8 * capacity * (capacity + LINE)
 
     @property
     def lent(self) -> bool:

@@ -382,6 +382,28 @@ def test_a_scan_with_outliers_is_the_scan_without_them(name: str, order: str, ou
 
 @every_filter
 @every_order
+def test_a_gate_can_be_set_later(name: str, order: str) -> None:
+    late, early = make(name, order=order), make(name, order=order, gate=20.0)
+    places = {1: (4.0, 0.0), 2: (3.0, 1.0), 3: (5.0, -1.0)}
+    for f in (late, early):
+        f.observe_scan(places)
+    late.gate = 20.0
+    for bad in (-1.0, 0.0, np.nan):
+        with pytest.raises(InputError, match="gate is"):
+            late.gate = bad
+    assert late.gate == 20.0
+    copies = [copy.deepcopy(late), pickle.loads(pickle.dumps(late))]
+    for f in (late, early, *copies):
+        f.step((0.0, 0.0), 1.0, {**places, 2: (9.0, 0.5)})
+    assert all(same(f, early) for f in (late, *copies))
+    late.gate = None
+    x = late.x
+    late.observe(2, (9.0, 0.5))
+    assert np.abs(late.x - x).max() > 1e-3
+
+
+@every_filter
+@every_order
 @every_sensor
 def test_a_refused_sighting_has_a_gain_of_zero(name: str, order: str, sensor: str) -> None:
     """y and S are its own, however many sightings the update before it had; nothing was learnt."""

@@ -15,7 +15,7 @@ from _workload import Array, IntArray, Work
 from contenders import ROUNDING
 from slamkit import Scan, Storage
 
-FLUSH_WORK = 3e8  #: multiply-adds that a step may spend on a flush where it is spread
+FLUSH_WORK = 2e8  #: multiply-adds that a step may spend on a flush where it is spread
 
 
 class Run:

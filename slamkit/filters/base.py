@@ -80,11 +80,9 @@ class LandmarkFilter:
         P = np.zeros((3, 3)) if pose_covariance is None else _covariance("pose_covariance", pose_covariance, 3)
         if order not in ("sequential", "batch"):
             raise InputError(f"order is {order!r}, expected 'sequential' or 'batch'")
-        if gate is not None and not gate > 0:
-            raise InputError(f"gate is {gate!r}, expected None or the largest NIS to accept, > 0")
         if not isinstance(storage, Storage | None):
             raise InputError(f"storage is {storage!r}, expected None or a slamkit.Storage")
-        self.motion, self.sensor, self.order, self.gate = motion, sensor, order, gate
+        self.motion, self.sensor, self.order, self._gate = motion, sensor, order, _largest_nis(gate)
         self.snapshots, self.storage = snapshots, Storage() if storage is None else storage
         self.dim_z, self.B = len(R), 0
         self.dim_u = int(getattr(motion, "control_dim", 0))
@@ -106,6 +104,16 @@ class LandmarkFilter:
             iterations=self.iterations,
             batch=self.order == "batch",
         )
+
+    @property
+    def gate(self) -> float | None:
+        """Largest NIS of a sighting that is accepted, None for all; assign to change it."""
+        return self._gate
+
+    @gate.setter
+    def gate(self, value: float | None) -> None:
+        self._gate = _largest_nis(value)
+        self._policy = self._new_policy()
 
     # -- the cycle ----------------------------------------------------------------------------------------------------
 
@@ -901,6 +909,12 @@ def _covariance(name: str, value: Any, size: int | None, definite: bool = False)
         kind = "positive definite" if definite else "positive semidefinite"
         raise InputError(f"{name} is not {kind}: its smallest eigenvalue is {smallest:.3g}")
     return a
+
+
+def _largest_nis(gate: float | None) -> float | None:
+    if gate is not None and not gate > 0:
+        raise InputError(f"gate is {gate!r}, expected None or the largest NIS to accept, > 0")
+    return gate
 
 
 def _duration(dt: float) -> float:

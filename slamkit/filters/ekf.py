@@ -36,7 +36,10 @@ class EKFSLAM(LandmarkFilter, ExtendedKalmanFilter):  # type: ignore[misc, overr
     pose, pose_covariance, landmarks
         The belief, without materialising P.
     x, P, y, S, K, z, log_likelihood, likelihood, mahalanobis
-        As in filterpy; y, S, K and z are of the last update. x and P are read-only copies: assign to change them.
+        As in filterpy; y, S, K and z are of the last update. x and P are read-only and stay what they were when they
+        were read: assign to change the filter.
+    gate
+        The parameter; it may be assigned to.
 
     Raises
     ------
