@@ -438,6 +438,16 @@ def differences(results: Sequence[dict[str, Any]]) -> list[str]:
     ]
 
 
+def kept(report: dict[str, Any]) -> str:
+    """What of the report is from an earlier run, in words."""
+    parts = [
+        f"{workload} on {', '.join(sizes)} landmarks"
+        for workload in ("drive", "random")
+        if (sizes := [str(result["landmarks"]) for result in report[workload] if result.get("kept")])
+    ]
+    return f" From an earlier run: {'; '.join(parts)}." if parts else ""
+
+
 def markdown(facts: dict[str, Any], report: dict[str, Any]) -> str:
     """The tables."""
     drive, scattered, memory = report["drive"], report["random"], report["memory"]
@@ -495,7 +505,7 @@ def markdown(facts: dict[str, Any], report: dict[str, Any]) -> str:
         "",
         *differences([*drive, *scattered]),
         "",
-        f"Ratios are of samples taken in turns. {sentence(facts)}.",
+        f"Ratios are of samples taken in turns. {sentence(facts)}.{kept(report)}",
         "",
         *(f"- {name}: {why}" for name, why in report["out"].items()),
         *([""] if report["out"] else []),
@@ -580,11 +590,15 @@ def main(
     console = Console(highlight=False)
     facts = machine()
     console.print(sentence(facts), soft_wrap=True)
-    out.mkdir(parents=True, exist_ok=True)
     field = Field()
+    out.mkdir(parents=True, exist_ok=True)
     before = json.loads((out / "scaling.json").read_text(encoding="utf-8")) if keep else {}
     results: dict[bool, list[dict[str, Any]]] = {
-        scattered: [r for r in before.get(workload, []) if r["landmarks"] not in chosen or (scattered and not random)]
+        scattered: [
+            {**result, "kept": True}
+            for result in before.get(workload, [])
+            if result["landmarks"] not in chosen or (scattered and not random)
+        ]
         for scattered, workload in ((False, "drive"), (True, "random"))
     }
     memory = [entry for entry in before.get("memory", []) if entry["landmarks"] not in chosen]
