@@ -283,7 +283,7 @@ def _readable(path: object) -> Iterator[None]:
         yield
     except (zipfile.BadZipFile, zlib.error, EOFError) as error:
         raise LogFileError(f"{path} is not a whole zip: {error}") from None
-    except (OSError, RuntimeError, NotImplementedError) as error:  # zipfile's words for encrypted and for exotic zips
+    except (OSError, RuntimeError) as error:  # the latter is what zipfile says of encrypted and of exotic zips
         raise LogFileError(f"{path} cannot be read: {error}") from None
 
 
