@@ -26,9 +26,21 @@ from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpstrf
 
 from slamkit import kernels
-from slamkit.compiled import ACTIVE, ACTIVE_THEN, COLUMNS, CORRECTED, LEAD, ROWS, WHOLE, WHOLE_THEN, State
+from slamkit.compiled import (
+    ACTIVE,
+    ACTIVE_THEN,
+    COLUMNS,
+    CORRECTED,
+    LEAD,
+    ROWS,
+    TILE,
+    UNROLLED,
+    WHOLE,
+    WHOLE_THEN,
+    State,
+)
 from slamkit.errors import DivergenceError, InputError, MemoryCapError
-from slamkit.square import LINE, Square
+from slamkit.square import Square
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -439,10 +451,10 @@ class Belief:
 
         That of a square store is done at once.
         """
-        s, D, whole, C = self.state, self.active, self.dim, int(self.state.size[COLUMNS])
-        if s.size[LEAD]:
+        if self.state.size[LEAD]:
             self._flush_square()
             return
+        s, D, whole, C = self.state, self.active, self.dim, int(self.state.size[COLUMNS])
         self._grow_store(whole)
         if C == 0:
             self._keep_gain(np.zeros((whole, 0)))
@@ -483,25 +495,26 @@ class Belief:
 
     def _flush_square(self) -> None:
         """A flush of a square store, at once, both triangles: into the same memory, or into other if that is lent."""
-        s, C, n = self.state, int(self.state.size[COLUMNS]), -(-self.dim // LINE) * LINE
+        s, C, n = self.state, int(self.state.size[COLUMNS]), -(-self.dim // TILE) * TILE
         rows = int(s.size[ROWS]) if s.size[ACTIVE_THEN] >= 0 else 0
         square = self._squares[0]
         target = square if not square.lent else self._another_square()
         M = np.empty((C, n))
         kernels.collect_rows(s, M)
         scale, order, L = _decomposed(s, C)
-        rank = -(-len(L) // kernels.UNROLLED) * kernels.UNROLLED
-        X = np.zeros((rank + 1 + BASE + self.active - C + rows, C))
-        kernels.factors(s, scale, order, L, X)
+        rank = -(-len(L) // UNROLLED) * UNROLLED
+        added = np.empty(BASE + self.active - C, dtype=np.int64)
+        X = np.zeros((rank + 1 + len(added) + rows, C))
+        kernels.factors(s, scale, order, L, X, added)
         W, V, gain = X @ M, target.room(n * rank), np.empty((rows, self.dim))
         # What may want for memory is done; from here on the belief changes.
         if rows:
             self._whole_w = gain  # not asked for before it is filled
         if target is square:
-            kernels.flush_square(s, target.store, True, W, V, gain)
+            kernels.flush_square(s, target.store, True, W, V, added, gain)
             return
         with _undisturbed():
-            kernels.flush_square(s, target.store, False, W, V, gain)
+            kernels.flush_square(s, target.store, False, W, V, added, gain)
             self._squares = [target, square]
             s.replace(store=target.store)
 
@@ -799,6 +812,9 @@ class Belief:
             The arrays do not fit each other or the ids.
         """
         size = np.array(arrays["size"], dtype=np.int64)
+        fixed = all(np.shape(arrays[n]) == getattr(self.state, n).shape for n in ("size", "work", "memory"))
+        if not fixed or size[LEAD]:
+            raise ValueError("size, work or memory of another form")
         self._squares, self._reads = [], 0
         D, whole, C, rows = int(size[ACTIVE]), int(size[WHOLE]), int(size[COLUMNS]), int(size[ROWS])
         self.slots = {i: self.base + BLOCK * n for n, i in enumerate(ids)}

@@ -20,7 +20,19 @@ from __future__ import annotations
 from math import isfinite, sqrt
 from typing import Any
 
-from slamkit.compiled import ACTIVE, ACTIVE_THEN, COLUMNS, CORRECTED, LEAD, WHOLE, WHOLE_THEN, compiled, intrinsics
+from slamkit.compiled import (
+    ACTIVE,
+    ACTIVE_THEN,
+    COLUMNS,
+    CORRECTED,
+    LEAD,
+    TILE,
+    UNROLLED,
+    WHOLE,
+    WHOLE_THEN,
+    compiled,
+    intrinsics,
+)
 
 __all__ = [
     "absorb",
@@ -63,7 +75,6 @@ project_four_below, project_four_beside = intrinsics("vectors", "project_four_be
 
 #: See `slamkit.compiled.vectors`; TILE rows and columns at a time, of a rank that is a multiple of UNROLLED.
 subtract_tile, subtract_tile_into = intrinsics("vectors", "subtract_tile", "subtract_tile_into")
-TILE, UNROLLED = 8, 4
 
 #: A belief with room for no more than this is saved before a step, not asked beforehand whether the step will work.
 SMALL = 48
@@ -642,12 +653,13 @@ def scaled(state: Any, A: Any, scale: Any) -> None:
             A[i, j] = -Psi[i, j] / divisor if j <= i and divisor > 0.0 else 0.0
 
 
-@compiled("void(state, vector, integers, matrix, matrix)")
-def factors(state: Any, scale: Any, order: Any, L: Any, X: Any) -> None:
+@compiled("void(state, vector, integers, matrix, matrix, integers)")
+def factors(state: Any, scale: Any, order: Any, L: Any, X: Any, added: Any) -> None:
     """Rows of X, zero before: those that M = P⁰[A₀, b] is to be multiplied by for all that a flush of b needs.
 
     First Bᵀ with B Bᵀ = Ψ, from L Lᵀ = A of `scaled`, which is given transposed (r, C), in an order from 1 on; zeros up
-    to a rank that is a multiple of UNROLLED; then ϑ, Φ of the base and of new landmarks, and L⁻¹HΦ.
+    to a rank that is a multiple of UNROLLED; then ϑ, Φ of what is `added`, and L⁻¹HΦ. That is filled in, too: the
+    active coordinates of the base and of landmarks that do not stand in the store yet.
     """
     C, rank, at = state.size[COLUMNS], L.shape[0], -(-L.shape[0] // UNROLLED) * UNROLLED
     for k in range(rank):
@@ -660,6 +672,7 @@ def factors(state: Any, scale: Any, order: Any, L: Any, X: Any) -> None:
         if a >= 3 and known < C and state.columns[known] == state.owner[a]:
             known += 1
             continue
+        added[a - known + 3] = a
         at += 1
         for c in range(C):
             X[at, c] = state.Phi[a, c]
@@ -698,28 +711,25 @@ def downdate_square(source: Any, target: Any, same: bool, lead: int, V: Any, n: 
                     subtract_tile_into(source, target, lead, i, j, V, rank)
 
 
-@compiled("void(state, vector, flag, matrix, vector, matrix)")
-def flush_square(state: Any, target: Any, same: bool, W: Any, V: Any, gain: Any) -> None:
-    """A flush of a square store into `target`, which may be the `same`; W = X P⁰[A₀, :] with X of `factors`.
+@compiled("void(state, vector, flag, matrix, vector, integers, matrix)")
+def flush_square(state: Any, target: Any, same: bool, W: Any, V: Any, added: Any, gain: Any) -> None:
+    """A flush of a square store into `target`, which may be the `same`; W = X P⁰[A₀, :], X and `added` of `factors`.
 
     V is room for the tiles of the first rows of W. `gain` becomes L⁻¹ H P (rows, D) of the last update, where that
     was made of what is active.
     """
-    size, cov, rest, owner, columns = state.size, state.cov, state.rest, state.owner, state.columns
-    D, whole, C, lead, n = size[ACTIVE], size[WHOLE], size[COLUMNS], size[LEAD], W.shape[1]
+    size, cov, rest, owner = state.size, state.cov, state.rest, state.owner
+    D, whole, lead, n = size[ACTIVE], size[WHOLE], size[LEAD], W.shape[1]
     at = V.shape[0] // n
     tile(W, at, V)
     downdate_square(state.store, target, same, lead, V, n)
     row = W[at]
     for j in range(whole):
         rest[j] += row[j]
-    known = 3
     for a in range(D):
+        rest[owner[a]], state.rest_points[owner[a]] = state.mean[a], state.points[a]
+    for a in added:
         i = owner[a]
-        rest[i], state.rest_points[i] = state.mean[a], state.points[a]
-        if a >= 3 and known < C and columns[known] == i:
-            known += 1
-            continue
         at += 1
         row, out = W[at], target[lead * i : lead * i + whole]
         for j in range(whole):

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from slamkit.compiled import TILE
 
-LINE = 8  #: doubles of a cache line
+Array = NDArray[np.float64]
 
 
 def at_a_line(memory: Array) -> Array:
-    """All but LINE entries of a vector: those from the first on that starts a cache line."""
-    first = -(memory.ctypes.data // memory.itemsize) % LINE
-    return memory[first : len(memory) - LINE + first]
+    """All but TILE entries of a vector: those from the first on that starts a cache line."""
+    first = -(memory.ctypes.data // memory.itemsize) % TILE
+    return memory[first : len(memory) - TILE + first]
 
 
 class Square:
@@ -38,8 +38,8 @@ class Square:
     """
 
     def __init__(self, capacity: int) -> None:
-        self.capacity, self.lead = capacity, capacity + LINE
-        self.store = at_a_line(np.zeros(capacity * self.lead + LINE))
+        self.capacity, self.lead = capacity, capacity + TILE
+        self.store = at_a_line(np.zeros(capacity * self.lead + TILE))
         self._address = self.store.ctypes.data
         self._room = np.empty(0)
         self._loans: weakref.WeakSet[_Loan] = weakref.WeakSet()
@@ -47,13 +47,13 @@ class Square:
     def room(self, n: int) -> Array:
         """Memory (n,) to work in, from a cache line on; the same at every call."""
         if len(self._room) < n:
-            self._room = at_a_line(np.empty(n + LINE))
+            self._room = at_a_line(np.empty(n + TILE))
         return self._room[:n]
 
     @staticmethod
     def size(capacity: int) -> int:
         """Bytes of a matrix of that capacity."""
-        return 8 * capacity * (capacity + LINE)
+        return 8 * capacity * (capacity + TILE)
 
     @property
     def lent(self) -> bool:

@@ -22,14 +22,13 @@ from scipy.linalg.blas import dgemm
 
 from slamkit import InputError, Log, Scan, World, belief, kernels
 from slamkit.belief import BASE, BLOCK, PANEL, Belief, Storage
-from slamkit.compiled import ACTIVE, ACTIVE_THEN, CORRECTED, LEAD, ROWS, WHOLE, WHOLE_THEN
+from slamkit.compiled import ACTIVE, ACTIVE_THEN, CORRECTED, LEAD, ROWS, TILE, WHOLE, WHOLE_THEN
 from slamkit.errors import DivergenceError, MemoryCapError
 from slamkit.filters import steps
 from slamkit.gauge import null_directions, nullity
-from slamkit.kernels import TILE
 from slamkit.models import RelativePosition
 from slamkit.simulate import random_world, simulate
-from slamkit.square import LINE, Square, at_a_line
+from slamkit.square import Square, at_a_line
 
 #: The filters whose update leaves alone what is not in sight.
 COMPRESSING = ("ekf", "fej", "oc", "iterated", "ideal", "ukf", "oc-ukf")
@@ -598,6 +597,12 @@ def test_a_file_whose_arrays_do_not_fit(tmp_path: Path) -> None:
         np.savez(tmp_path / "short.npz", **{**whole, name: whole[name][:-PANEL]})
         with pytest.raises(InputError, match=r"short\.npz"):
             type(f).load(tmp_path / "short.npz")
+    square = whole["size"].copy()
+    square[LEAD] = 72
+    for size in (whole["size"][:-1], square):
+        np.savez(tmp_path / "odd.npz", **{**whole, "size": size})
+        with pytest.raises(InputError, match=r"odd\.npz"):
+            type(f).load(tmp_path / "odd.npz")
     np.savez(tmp_path / "same.npz", **whole)
     assert same(type(f).load(tmp_path / "same.npz"), f)
 
@@ -953,7 +958,7 @@ def test_both_triangles_are_corrected(same_place: bool, n: int, rank: int, seed:
     rows = source.store.reshape(-1, source.lead)
     rows[:], rows[:n, :n] = 7.0, P
     into = source if same_place else target
-    V = at_a_line(np.empty(n * rank + LINE))
+    V = at_a_line(np.empty(n * rank + TILE))
     kernels.tile(W, rank, V)
     kernels.downdate_square(source.store, into.store, same_place, source.lead, V, n)
     out = into.store.reshape(-1, into.lead)
@@ -966,7 +971,7 @@ def test_a_square_begins_rows_at_cache_lines() -> None:
     square = Square(PANEL)
     assert not square.lent
     shown = square.lend(9)[3:5]
-    assert square.lent and square.lend(9).ctypes.data % 64 == 0 and square.lead % LINE == 0
+    assert square.lent and square.lend(9).ctypes.data % 64 == 0 and square.lead % TILE == 0
     del shown
     assert not square.lent
 

@@ -5,6 +5,7 @@ What is timed ends with a flush: nothing is left over that would have to be paid
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from time import perf_counter
 from typing import ClassVar
@@ -96,31 +97,25 @@ class Spread(Step):
 class Read(Step):
     """`EKFSLAM.step`, and the whole of P read after each."""
 
-    def ready(self, begin: int, end: int) -> Callable[[], object]:
-        """The arguments of each step."""
-        f, arguments = self.filter, self._arguments(begin, end)
-
-        def go() -> None:
-            for u, dt, scan in arguments:
-                f.step(u, dt, scan)
-                f.P  # noqa: B018  (read for its cost)
-
-        return go
-
-
-class Hold(Step):
-    """`EKFSLAM.step`, and the whole of P read after each and held until the next has been read."""
+    held: ClassVar[int] = 0  #: how many of them are held on to
 
     def ready(self, begin: int, end: int) -> Callable[[], object]:
         """The arguments of each step."""
         f, arguments = self.filter, self._arguments(begin, end)
 
         def go() -> None:
+            held: deque[Array] = deque(maxlen=self.held)
             for u, dt, scan in arguments:
                 f.step(u, dt, scan)
-                held = f.P  # noqa: F841
+                held.append(f.P)
 
         return go
+
+
+class Hold(Read):
+    """The same, where one P is held until the next has been read."""
+
+    held: ClassVar[int] = 1
 
 
 class Calls(Step):

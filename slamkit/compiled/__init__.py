@@ -24,6 +24,9 @@ from typing import TYPE_CHECKING, Any
 #: gave no finite numbers; entries from one row of the store to the next, 0 where it is a packed triangle.
 ACTIVE, ROWS, ACTIVE_THEN, FAILING, STATUS, COLUMNS, WHOLE, CORRECTED, WHOLE_THEN, ODD, LEAD = range(11)
 
+#: Doubles of a cache line, rows and columns of a tile; terms of a sum that are written out, which divides every rank.
+TILE, UNROLLED = 8, 4
+
 __all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics", "models_of", "needed"]
 
 

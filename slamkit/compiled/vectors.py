@@ -15,6 +15,8 @@ from llvmlite.binding import get_host_cpu_features
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
+from slamkit.compiled import TILE, UNROLLED
+
 WIDTH = 4  #: doubles of one vector; arrays must have room up to a multiple of it
 
 
@@ -125,8 +127,6 @@ project_four_below = _project(beside=False)
 project_four_beside = _project(beside=True)
 
 
-TILE = 8  #: rows and columns of a tile, a cache line of doubles
-UNROLLED = 4  #: terms of a sum that are written out; ranks must be multiples of it
 #: Rows of a tile whose sums are in registers at a time: as many as there is room for.
 TOGETHER = TILE if get_host_cpu_features().get("avx512f") else TILE // 2
 
