@@ -466,10 +466,7 @@ class Belief:
             self._keep_gain(V[:whole])
             moved, cross = V[:whole] @ s.theta[:C], V[:whole] @ s.Phi[:D, :C].T
             V[owner] = 0.0
-            scale, order, L = _decomposed(s, C)
-            B = np.zeros((C, len(L)))
-            B[order - 1] = scale[order - 1, None] * L.T
-            V = V @ B
+            V = V @ _half(s, C).T
             # What may want for memory is done; from here on the belief changes.
             s.rest[:whole] += moved
             kernels.deposit(s, cross)
@@ -501,11 +498,12 @@ class Belief:
         target = square if not square.lent else self._another_square()
         M = np.empty((C, n))
         kernels.collect_rows(s, M)
-        scale, order, L = _decomposed(s, C)
-        rank = -(-len(L) // UNROLLED) * UNROLLED
+        B = _half(s, C)
+        rank = -(-len(B) // UNROLLED) * UNROLLED
         added = np.empty(BASE + self.active - C, dtype=np.int64)
         X = np.zeros((rank + 1 + len(added) + rows, C))
-        kernels.factors(s, scale, order, L, X, added)
+        X[: len(B)] = B
+        kernels.factors(s, rank, X, added)
         W, V, gain = X @ M, target.room(n * rank), np.empty((rows, self.dim))
         # What may want for memory is done; from here on the belief changes.
         if rows:
@@ -880,12 +878,15 @@ def _vectors(n: int) -> int:
     return -(-n // 4) * 4
 
 
-def _decomposed(state: State, C: int) -> tuple[Array, Indices, Array]:
-    """Scale d (C,), order o (C,), from 1 on, and L (r, C), r the rank of Ψ: (Lᵀ L)_ij d_oi d_oj = Ψ_oi,oj."""
+def _half(state: State, C: int) -> Array:
+    """B (r, C) with BᵀB = Ψ (C, C), r its rank."""
     A, scale = np.empty((C, C)), np.empty(C)
     kernels.scaled(state, A, scale)
     L, order, rank, _ = dpstrf(A, lower=1)
-    return scale, order.astype(np.int64), L.T[:rank]
+    order -= 1
+    B = np.zeros((rank, C))
+    B[:, order] = L.T[:rank] * scale[order]
+    return B
 
 
 def _packed(dim: int) -> int:

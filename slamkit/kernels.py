@@ -27,7 +27,6 @@ from slamkit.compiled import (
     CORRECTED,
     LEAD,
     TILE,
-    UNROLLED,
     WHOLE,
     WHOLE_THEN,
     compiled,
@@ -653,18 +652,14 @@ def scaled(state: Any, A: Any, scale: Any) -> None:
             A[i, j] = -Psi[i, j] / divisor if j <= i and divisor > 0.0 else 0.0
 
 
-@compiled("void(state, vector, integers, matrix, matrix, integers)")
-def factors(state: Any, scale: Any, order: Any, L: Any, X: Any, added: Any) -> None:
-    """Rows of X, zero before: those that M = P⁰[A₀, b] is to be multiplied by for all that a flush of b needs.
+@compiled("void(state, index, matrix, integers)")
+def factors(state: Any, rank: int, X: Any, added: Any) -> None:
+    """Rows of X that M = P⁰[A₀, b] is to be multiplied by for all that a flush of b needs.
 
-    First Bᵀ with B Bᵀ = Ψ, from L Lᵀ = A of `scaled`, which is given transposed (r, C), in an order from 1 on; zeros up
-    to a rank that is a multiple of UNROLLED; then ϑ, Φ of what is `added`, and L⁻¹HΦ. That is filled in, too: the
-    active coordinates of the base and of landmarks that do not stand in the store yet.
+    The first `rank` rows are there, B with BᵀB = Ψ and rows of zeros. Then come ϑ, Φ of what is `added`, and L⁻¹HΦ.
+    That is filled in, too: the active coordinates of the base and of landmarks that do not stand in the store yet.
     """
-    C, rank, at = state.size[COLUMNS], L.shape[0], -(-L.shape[0] // UNROLLED) * UNROLLED
-    for k in range(rank):
-        for i in range(C):
-            X[k, order[i] - 1] = scale[order[i] - 1] * L[k, i]
+    C, at = state.size[COLUMNS], rank
     for c in range(C):
         X[at, c] = state.theta[c]
     known = 3
