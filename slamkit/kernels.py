@@ -70,9 +70,9 @@ PANEL = 64
 #: have room up to a multiple of four rows and columns, where what they hold means nothing.
 (subtract_four_rows,) = intrinsics("vectors", "subtract_four_rows")
 
-project_four_below, project_four_beside = intrinsics("vectors", "project_four_below", "project_four_beside")
+project_four, project_first_four = intrinsics("vectors", "project_four", "project_first_four")
 
-#: See `slamkit.compiled.vectors`; TILE rows and columns at a time, of a rank that is a multiple of UNROLLED.
+#: TILE rows and columns at a time, of a rank that is a multiple of UNROLLED.
 subtract_tile, subtract_tile_into = intrinsics("vectors", "subtract_tile", "subtract_tile_into")
 
 #: A belief with room for no more than this is saved before a step, not asked beforehand whether the step will work.
@@ -257,17 +257,9 @@ def absorb(state: Any, gate: float) -> Any:
     p, q = (p - L10 * d) * i1, (q - L10 * e) * i1
     w0, w1, dx = state.w[0], state.w[1], state.dx
     first, second, both = (a, b, c, d, e), (f, g, h, p, q), (t0, t1)
-    # Four rows at a time, some twice; what that spoils, rows of the pose and of the landmark itself, comes last.
-    for i in range(3, s, 4):
-        project_four_beside(cov, min(i, s - 4), s, first, second, both, w0, w1, dx)
-    for i in range(s + 2, D, 4):
-        project_four_below(cov, min(i, D - 4), s, first, second, both, w0, w1, dx)
-    w0[0], w0[1], w0[2], w0[s], w0[s + 1] = u0 * i0, u1 * i0, u2 * i0, u3 * i0, u4 * i0
-    w1[0], w1[1], w1[2] = (v0 - L10 * w0[0]) * i1, (v1 - L10 * w0[1]) * i1, (v2 - L10 * w0[2]) * i1
-    w1[s], w1[s + 1] = (v3 - L10 * w0[s]) * i1, (v4 - L10 * w0[s + 1]) * i1
-    for i in range(3):
-        dx[i] = t0 * w0[i] + t1 * w1[i]
-    dx[s], dx[s + 1] = t0 * w0[s] + t1 * w1[s], t0 * w0[s + 1] + t1 * w1[s + 1]
+    project_first_four(cov, 0, s, first, second, both, w0, w1, dx)
+    for i in range(4, D, 4):
+        project_four(cov, i, s, first, second, both, w0, w1, dx)
     return nis
 
 

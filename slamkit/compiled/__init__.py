@@ -84,8 +84,13 @@ class Compiled:
 
     @cached_property
     def dispatcher(self) -> Any:
-        """For Python and for tables: machine code, compiled now or read from the cache."""
+        """For Python: machine code, compiled now or read from the cache."""
         return self._compile(self._dispatcher(cache=True))
+
+    @cached_property
+    def entry(self) -> Any:
+        """The same for tables, whose functions take arrays as less than Numba makes of them."""
+        return self._compile(self._dispatcher(cache=True), "PASSED")
 
     def _dispatcher(self, **options: Any) -> Any:
         load_structures()
@@ -96,9 +101,9 @@ class Compiled:
             options |= {"fastmath": {"contract"}, "error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
             return numba.njit(**options)(self._over(lambda c: c.jitted))
 
-    def _compile(self, dispatcher: Any) -> Any:
+    def _compile(self, dispatcher: Any, words: str = "WORDS") -> Any:
         with cache_folder():
-            dispatcher.compile(eval(self.signature, dict(load_structures().WORDS)))
+            dispatcher.compile(eval(self.signature, dict(getattr(load_structures(), words))))
         dispatcher.disable_compile()
         return dispatcher
 
@@ -197,7 +202,7 @@ class Shared:
     @cached_property
     def handle(self) -> Any:
         """The table, which holds on to what it points to."""
-        return load_structures().Handle(self.kind, **{n: getattr(v, "dispatcher", v) for n, v in self.fields.items()})
+        return load_structures().Handle(self.kind, **{n: getattr(v, "entry", v) for n, v in self.fields.items()})
 
 
 class State(Shared):

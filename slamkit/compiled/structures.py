@@ -15,11 +15,14 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
+from numba import njit
 from numba.core import cgutils, types
 from numba.core.datamodel import models as data_models
 from numba.core.datamodel import register_default
-from numba.core.imputils import lower_builtin, lower_getattr_generic
+from numba.core.errors import TypingError
+from numba.core.imputils import lower_builtin, lower_cast, lower_getattr_generic
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.core.registry import cpu_target
 from numba.extending import NativeValue, intrinsic, unbox
 from numba.np.arrayobj import populate_array
 
@@ -55,6 +58,52 @@ def _first_words(table: str) -> dict[str, int]:
 def words(field: Any) -> int:
     """How many words a field takes: an array its address and its shape, all else one."""
     return 1 + field.ndim if isinstance(field, types.Array) else 1
+
+
+class Passed(types.Array):
+    """Type of an array as an argument of a function in a table: its address and its extents.
+
+    Numba passes five words and two for each dimension, most of which nobody reads.
+    """
+
+    def __init__(self, array: Any) -> None:
+        super().__init__(array.dtype, array.ndim, "C", name=f"slamkit.Passed({array})")
+
+
+@register_default(Passed)
+class PassedModel(data_models.ArrayModel):
+    """Within a function it is an array like any other, which borrows its memory."""
+
+    def get_argument_type(self) -> Any:
+        """An address and as many numbers as there are dimensions."""
+        return tuple(self._models[self.get_field_position(name)].get_argument_type() for name in ("data", "shape"))
+
+    def as_argument(self, builder: Any, value: Any) -> Any:
+        """What is passed of an array."""
+        return self.get(builder, value, "data"), tuple(cgutils.unpack_tuple(builder, self.get(builder, value, "shape")))
+
+    def from_argument(self, builder: Any, value: Any) -> Any:
+        """The array again."""
+        data, shape = value
+        return contiguous_array(builder, self._fe_type, data, shape)
+
+
+@lower_cast(types.Array, Passed)
+@lower_cast(Passed, types.Array)
+def cast_array(context: Any, builder: Any, before: Any, after: Any, value: Any) -> Any:
+    """They differ only while they are passed."""
+    return value
+
+
+def contiguous_array(builder: Any, kind: Any, data: Any, shape: Any) -> Any:
+    """A C-contiguous array that borrows its memory."""
+    array = cgutils.create_struct_proxy(kind)(cpu_target.target_context, builder)
+    itemsize = ir.Constant(ir.IntType(64), np.dtype(str(kind.dtype)).itemsize)
+    strides = [itemsize]
+    for extent in reversed(shape[1:]):
+        strides.insert(0, builder.mul(strides[0], extent))
+    populate_array(array, data=data, shape=shape, strides=strides, itemsize=itemsize, meminfo=None)
+    return array._getvalue()
 
 
 class Function(types.Callable, types.Opaque):
@@ -124,14 +173,8 @@ def load_field(context: Any, builder: Any, table: TableType, address: Any, field
     base = builder.inttoptr(address, ir.IntType(64).as_pointer())
     loaded = [builder.load(builder.gep(base, [ir.Constant(ir.IntType(64), first + k)])) for k in range(words(kind))]
     if isinstance(kind, types.Array):
-        array = context.make_array(kind)(context, builder)
-        itemsize = context.get_constant(types.intp, np.dtype(str(kind.dtype)).itemsize)
-        shape, strides = loaded[1:], [itemsize]
-        for extent in reversed(shape[1:]):
-            strides.insert(0, builder.mul(strides[0], extent))
-        data = builder.inttoptr(loaded[0], array.data.type)
-        populate_array(array, data=data, shape=shape, strides=strides, itemsize=itemsize, meminfo=None)
-        return array._getvalue()
+        data = builder.inttoptr(loaded[0], context.get_data_type(kind.dtype).as_pointer())
+        return contiguous_array(builder, kind, data, loaded[1:])
     if kind is real:
         return builder.bitcast(loaded[0], ir.DoubleType())
     return builder.trunc(loaded[0], ir.IntType(1)) if kind is flag else loaded[0]
@@ -186,16 +229,30 @@ def _words_of(name: str, field: Any, value: Any) -> list[int]:
         assert value.flags.c_contiguous and value.ndim == field.ndim and value.dtype == str(field.dtype), name
         return [value.ctypes.data, *value.shape]
     if isinstance(field, Function):
-        result = value.get_compile_result(field.signature)
+        try:
+            result = value.get_compile_result(field.signature)
+        except TypingError:  # compiled by its author, for Numba's own arrays only
+            result = _with_arrays(value, len(field.signature.args)).get_compile_result(field.signature)
         return [result.library.get_pointer_to_function(result.fndesc.llvm_func_name)]
     if field is real:
         return [int(np.array(value, dtype=np.float64).view(np.int64))]
     return [int(value)]
 
 
+def _with_arrays(compiled: Any, arguments: int) -> Any:
+    """A function that calls one that is compiled already."""
+    names = ", ".join(f"a{k}" for k in range(arguments))
+    return njit(eval(f"lambda {names}: compiled({names})", {"compiled": compiled}))
+
+
 def function(*arguments: Any, result: Any = void) -> Any:
     """Type of a function; one without a result writes into its last arguments."""
-    return Function(result(*arguments))
+    return Function(result(*map(passed, arguments)))
+
+
+def passed(kind: Any) -> Any:
+    """A type as that of an argument."""
+    return Passed(kind) if isinstance(kind, types.Array) else kind
 
 
 state, models, policy = TableType("state"), TableType("models"), TableType("policy")
@@ -283,3 +340,5 @@ WORDS = {
     "void": void, "real": real, "index": index, "flag": flag, "vector": vector, "matrix": matrix, "cube": cube,
     "integers": integers, "flags": flags, "state": state, "models": models, "policy": policy,
 }  # fmt: skip
+#: The same for a function in a table.
+PASSED = {word: passed(kind) for word, kind in WORDS.items()}

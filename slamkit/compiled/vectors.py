@@ -20,6 +20,18 @@ from slamkit.compiled import TILE, UNROLLED
 WIDTH = 4  #: doubles of one vector; arrays must have room up to a multiple of it
 
 
+def _splat(builder: Any, value: Any) -> Any:
+    """A vector of one number."""
+    lane: Any = ir.Constant(ir.VectorType(ir.DoubleType(), WIDTH), ir.Undefined)
+    lane = builder.insert_element(lane, value, ir.IntType(32)(0))
+    return builder.shuffle_vector(lane, lane, ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH))
+
+
+def _at(builder: Any, base: Any, index: Any, width: int = WIDTH) -> Any:
+    """Where a vector begins."""
+    return builder.bitcast(builder.gep(base, [index]), ir.VectorType(ir.DoubleType(), width).as_pointer())
+
+
 @intrinsic
 def subtract_four_rows(typing: Any, M: Any, i: Any, x: Any, y: Any, a: Any, b: Any, n: Any) -> Any:
     """Rows r = i … i + 3: M[r, :n] -= x[r] a[:n] + y[r] b[:n], n rounded up to the vector's width."""
@@ -28,29 +40,18 @@ def subtract_four_rows(typing: Any, M: Any, i: Any, x: Any, y: Any, a: Any, b: A
         kinds = signature.args
         M, x, y, a, b = (context.make_array(kinds[k])(context, builder, arguments[k]) for k in (0, 2, 3, 4, 5))
         i, n = arguments[1], arguments[6]
-        vector = ir.VectorType(ir.DoubleType(), WIDTH)
         length = cgutils.unpack_tuple(builder, M.shape)[1]
-
-        def at(base: Any, index: Any) -> Any:
-            return builder.bitcast(builder.gep(base, [index]), vector.as_pointer())
-
-        def splat(base: Any, index: Any) -> Any:
-            lanes: Any = ir.Constant(vector, ir.Undefined)
-            value = builder.load(builder.gep(base, [index]))
-            for lane in range(WIDTH):
-                lanes = builder.insert_element(lanes, value, ir.Constant(ir.IntType(32), lane))
-            return lanes
-
         starts, factors = [], []
-        for r in range(4):
+        for r in range(WIDTH):
             row = builder.add(i, context.get_constant(types.intp, r))
             starts.append(builder.gep(M.data, [builder.mul(row, length)]))
-            factors.append((splat(x.data, row), splat(y.data, row)))
-        zero, step = context.get_constant(types.intp, 0), context.get_constant(types.intp, WIDTH)
+            factors.append([_splat(builder, builder.load(builder.gep(v.data, [row]))) for v in (x, y)])
+        zero, step = (context.get_constant(types.intp, k) for k in (0, WIDTH))
         with cgutils.for_range_slice(builder, zero, n, step, intp=n.type) as (j, _):
-            left, right = builder.load(at(a.data, j), align=8), builder.load(at(b.data, j), align=8)
+            left, right = (builder.load(_at(builder, v.data, j), align=8) for v in (a, b))
             for start, (p, q) in zip(starts, factors, strict=True):
-                total, where = builder.load(at(start, j), align=8), at(start, j)
+                where = _at(builder, start, j)
+                total = builder.load(where, align=8)
                 for factor, other in ((q, right), (p, left)):
                     product = builder.fmul(factor, other, flags=("contract",))
                     total = builder.fsub(total, product, flags=("contract",))
@@ -60,8 +61,8 @@ def subtract_four_rows(typing: Any, M: Any, i: Any, x: Any, y: Any, a: Any, b: A
     return types.void(M, types.intp, x, y, a, b, types.intp), generate
 
 
-def _project(beside: bool) -> Any:
-    """An intrinsic for four rows that stand below the landmark's, or beside them: before the diagonal."""
+def _project_four(pose: bool) -> Any:
+    """An intrinsic for four rows, or for the first four, of which three are the pose's."""
 
     @intrinsic
     def project(
@@ -76,55 +77,54 @@ def _project(beside: bool) -> Any:
         w0, w1, dx = (context.make_array(kinds[k])(context, builder, arguments[k]).data for k in (6, 7, 8))
         number = ir.IntType(32)
 
-        def at(base: Any, index: Any, width: int = WIDTH) -> Any:
-            kind = ir.VectorType(ir.DoubleType(), width)
-            return builder.bitcast(builder.gep(base, [index]), kind.as_pointer())
+        def row(index: Any, k: int) -> Any:
+            return builder.gep(P.data, [builder.mul(builder.add(index, context.get_constant(types.intp, k)), length)])
 
-        def row(k: int) -> Any:
-            return builder.gep(P.data, [builder.mul(builder.add(i, context.get_constant(types.intp, k)), length)])
+        def load(base: Any, index: Any, width: int = WIDTH) -> Any:
+            return builder.load(_at(builder, base, index, width), align=8)
 
         def mixed(a: Any, b: Any, *lanes: int) -> Any:
             return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(number, len(lanes)), lanes))
 
-        def splat(value: Any) -> Any:
-            lane: Any = ir.Constant(ir.VectorType(ir.DoubleType(), WIDTH), ir.Undefined)
-            lane = builder.insert_element(lane, value, number(0))
-            return mixed(lane, lane, *[0] * WIDTH)
-
         def combined(factors: Any, terms: list[Any]) -> Any:
             total: Any = None
             for k, term in enumerate(terms):
-                product = builder.fmul(splat(builder.extract_value(factors, k)), term, flags=("contract",))
+                factor = _splat(builder, builder.extract_value(factors, k))
+                product = builder.fmul(factor, term, flags=("contract",))
                 total = product if total is None else builder.fadd(total, product, flags=("contract",))
             return total
 
-        zero, one = (context.get_constant(types.intp, k) for k in (0, 1))
-        pose = [builder.load(at(row(k), zero), align=8) for k in range(WIDTH)]
-        low = [mixed(pose[k], pose[k + 1], 0, 4, 2, 6) for k in (0, 2)]
-        high = [mixed(pose[k], pose[k + 1], 1, 5, 3, 7) for k in (0, 2)]
+        # The pose's three columns.
+        rows = [load(row(i, k), context.get_constant(types.intp, 0)) for k in range(WIDTH)]
+        low = [mixed(rows[k], rows[k + 1], 0, 4, 2, 6) for k in (0, 2)]
+        high = [mixed(rows[k], rows[k + 1], 1, 5, 3, 7) for k in (0, 2)]
         terms = [mixed(*low, 0, 1, 4, 5), mixed(*high, 0, 1, 4, 5), mixed(*low, 2, 3, 6, 7)]
-        if beside:
-            for index in (slot, builder.add(slot, one)):
-                above = builder.gep(P.data, [builder.mul(index, length)])
-                terms.append(builder.load(at(above, i), align=8))
-        else:
-            pairs = [builder.load(at(row(k), slot, 2), align=8) for k in range(WIDTH)]
-            both = [mixed(pairs[k], pairs[k + 1], 0, 2, 1, 3) for k in (0, 2)]
-            terms += [mixed(*both, 0, 1, 4, 5), mixed(*both, 2, 3, 6, 7)]
+        if pose:  # what stands above the diagonal means nothing
+            terms[1], terms[2] = mixed(rows[1], terms[1], 0, 5, 6, 7), mixed(rows[2], terms[2], 0, 1, 6, 7)
+        # The landmark's two: as its rows up to the diagonal, as its columns after it.
+        pairs = [load(row(i, k), slot, 2) for k in range(WIDTH)]
+        both = [mixed(pairs[k], pairs[k + 1], 0, 2, 1, 3) for k in (0, 2)]
+        columns = [mixed(*both, 0, 1, 4, 5), mixed(*both, 2, 3, 6, 7)]
+        lanes = ir.Constant(ir.VectorType(ir.IntType(64), WIDTH), list(range(WIDTH)))
+        last: Any = ir.Constant(ir.VectorType(ir.IntType(64), WIDTH), ir.Undefined)
+        last = builder.insert_element(last, builder.sub(slot, i), number(0))
+        before = builder.icmp_signed("<=", lanes, mixed(last, last, *[0] * WIDTH))
+        for k in range(2):
+            terms.append(builder.select(before, load(row(slot, k), i), columns[k]))
         found = [combined(arguments[k], terms) for k in (3, 4)]
         for target, values in ((w0, found[0]), (w1, found[1]), (dx, combined(arguments[5], found))):
-            builder.store(values, at(target, i), align=8)
+            builder.store(values, _at(builder, target, i), align=8)
         return context.get_dummy_value()
 
     return project
 
 
 #: ``(P, i, slot, first, second, t, w0, w1, dx)``: entries i … i + 3 of w0 ← P h for the five factors `first` of the
-#: pose's columns and the landmark's two, of w1 likewise with `second`, and of dx ← t[0] w0 + t[1] w1. P is a lower
-#: triangle; the rows i … i + 3 come after the landmark's at `slot`.
-project_four_below = _project(beside=False)
-#: The same for rows that come before it, but after the pose's.
-project_four_beside = _project(beside=True)
+#: pose's columns and the landmark's two, of w1 likewise with `second`, and of dx ← t[0] w0 + t[1] w1, i > 3. P is a
+#: lower triangle.
+project_four = _project_four(pose=False)
+#: The same for i = 0.
+project_first_four = _project_four(pose=True)
 
 
 #: Rows of a tile whose sums are in registers at a time: as many as there is room for.

@@ -222,24 +222,28 @@ def dismiss(state: Any, rows: int) -> int:
     return OK
 
 
-@compiled("index(policy, models, state, index)", generic=True)
-def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
-    """One update by the n sightings in ``state.slots`` and ``state.z``, stacked.
+@compiled("index(policy, models, state)", generic=True)
+def correct_one(policy: Any, models: Any, state: Any) -> Any:
+    """The update by one sighting of two rows, which nearly every update is."""
+    at, mean, y, slot, place = state.at, state.mean, state.y, state.slots[0], state.order[0]
+    at[0], at[1], at[2], at[3], at[4] = mean[0], mean[1], mean[2], mean[slot], mean[slot + 1]
+    if not linearise_one(policy, models, state, 0):
+        return dismiss(state, 0)
+    nis = absorb(state, policy.gate)
+    state.innovations[place, 0], state.innovations[place, 1], state.nis[place] = y[0], y[1], nis
+    state.accepted[place] = nis <= policy.gate
+    if nis <= policy.gate:
+        return NOT_DEFINITE if nis < 0.0 else settle(policy, state, 1, 2)
+    refuse(state, 2)
+    return OK
 
-    With more than one iteration it is the iterated EKF: linearise at the last iterate until it stands still
-    (Bell & Cathey, IEEE TAC 38(2), 1993: Gauss-Newton on the same cost).
-    """
+
+@compiled("index(policy, models, state, index)", generic=True)
+def correct_stacked(policy: Any, models: Any, state: Any, n: int) -> Any:
+    """The same of any number and any length."""
     k = models.R.shape[0]
     aim(state, n)
-    n = linearise(policy, models, state, n) if n > 1 else int(linearise_one(policy, models, state, 0))
-    if n == 1 and k == 2 and policy.iterations == 1:
-        nis, place = absorb(state, policy.gate), state.order[0]
-        state.innovations[place, 0], state.innovations[place, 1], state.nis[place] = state.y[0], state.y[1], nis
-        state.accepted[place] = nis <= policy.gate
-        if not nis <= policy.gate:
-            refuse(state, 2)
-            return OK
-        return NOT_DEFINITE if nis < 0.0 else settle(policy, state, 1, 2)
+    n = linearise(policy, models, state, n)
     project(state, n, k)
     kept = screen(policy, models, state, n)
     if kept < 0:
@@ -267,6 +271,18 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
         shift_innovation(state, n, k)
         project(state, n, k)
     return settle(policy, state, n, k)
+
+
+@compiled("index(policy, models, state, index)", generic=True)
+def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
+    """One update by the n sightings in ``state.slots`` and ``state.z``, stacked.
+
+    With more than one iteration it is the iterated EKF: linearise at the last iterate until it stands still
+    (Bell & Cathey, IEEE TAC 38(2), 1993: Gauss-Newton on the same cost).
+    """
+    if n == 1 and models.R.shape[0] == 2 and policy.iterations == 1:
+        return correct_one(policy, models, state)
+    return correct_stacked(policy, models, state, n)
 
 
 @compiled("index(policy, models, state, index, vector)", generic=True)
