@@ -27,7 +27,7 @@ ACTIVE, ROWS, ACTIVE_THEN, FAILING, STATUS, COLUMNS, WHOLE, CORRECTED, WHOLE_THE
 #: Doubles of a cache line, rows and columns of a tile; terms of a sum that are written out, which divides every rank.
 TILE, UNROLLED = 8, 4
 
-__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics", "models_of", "needed"]
+__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics", "models_of", "needed", "part"]
 
 
 class Compiled:
@@ -120,10 +120,15 @@ class Compiled:
 
 
 class Intrinsic(Compiled):
-    """A function of a module that imports Numba, by name, for compiled functions to call."""
+    """A function of a module that imports Numba, by name, for compiled functions to call.
 
-    def __init__(self, module: str, name: str) -> None:
+    Python calls `plain` instead, where there is one.
+    """
+
+    def __init__(self, module: str, name: str, plain: Callable[..., Any] | None = None) -> None:
         self.__module__, self.__name__, self.generic = module, name, False
+        if plain is not None:
+            self.plain = plain
 
     @cached_property
     def jitted(self) -> Any:
@@ -131,13 +136,24 @@ class Intrinsic(Compiled):
         load_structures()
         return getattr(importlib.import_module(self.__module__), self.__name__)
 
+    def __call__(self, *args: Any) -> Any:
+        return self.plain(*args)
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return Intrinsic, (self.__module__, self.__name__)
+        return Intrinsic, (self.__module__, self.__name__, vars(self).get("plain"))
 
 
 def intrinsics(module: str, *names: str) -> list[Intrinsic]:
     """Functions of a module of this package that is not to be imported before the first call."""
     return [Intrinsic(f"{__name__}.{module}", name) for name in names]
+
+
+def _slice(array: Any, first: int, count: int) -> Any:
+    return array[first : first + count]
+
+
+#: ``part(array, first, count)`` is ``array[first : first + count]`` without Numba's care for where an array ends.
+part = Intrinsic(f"{__name__}.structures", "part", _slice)
 
 
 def _find(module: str, name: str) -> Any:

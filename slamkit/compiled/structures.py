@@ -106,6 +106,21 @@ def contiguous_array(builder: Any, kind: Any, data: Any, shape: Any) -> Any:
     return array._getvalue()
 
 
+@intrinsic
+def part(typing: Any, array: Any, first: Any, count: Any) -> Any:
+    """Rows first … first + count - 1 of a C-contiguous array, which must be there."""
+    kind = array.copy()
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        whole = context.make_array(array)(context, builder, arguments[0])
+        shape, start = cgutils.unpack_tuple(builder, whole.shape), arguments[1]
+        for extent in shape[1:]:
+            start = builder.mul(start, extent)
+        return contiguous_array(builder, kind, builder.gep(whole.data, [start]), [arguments[2], *shape[1:]])
+
+    return kind(array, types.int64, types.int64), generate
+
+
 class Function(types.Callable, types.Opaque):
     """Type of a compiled function that is known by its address only.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from slamkit.compiled import ACTIVE, compiled
+from slamkit.compiled import ACTIVE, compiled, part
 from slamkit.se2 import wrap_angle
 
 
@@ -38,7 +38,7 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
     """Linearise the sensor at the given pose and landmark."""
     k = z.shape[0]
-    y, H_pose, H_landmark = state.y[row : row + k], state.H_pose[row : row + k], state.H_landmark[row : row + k]
+    y, H_pose, H_landmark = part(state.y, row, k), part(state.H_pose, row, k), part(state.H_landmark, row, k)
     params, z_hat = models.sensor_params, state.z_hat
     if models.fused:
         models.sight(pose, landmark, z, params, z_hat, y, H_pose, H_landmark)

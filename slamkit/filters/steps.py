@@ -42,6 +42,7 @@ from slamkit.compiled import (
     WHOLE_THEN,
     compiled,
     intrinsics,
+    part,
 )
 from slamkit.kernels import (
     SMALL,
@@ -94,8 +95,8 @@ def linearise_one(policy: Any, models: Any, state: Any, j: int) -> bool:
     """Linearise sighting j of ``state.slots`` at ``state.at``; False, and it is refused, without finite numbers."""
     k = models.R.shape[0]
     at, y, H_pose, H_landmark, first = state.at, state.y, state.H_pose, state.H_landmark, j * k
-    landmark, z = at[3 + 2 * j : 5 + 2 * j], state.z[first : first + k]
-    policy.sensor(models, state, at[:3], landmark, state.slots[j], z, first)
+    landmark, z = part(at, 3 + 2 * j, 2), part(state.z, first, k)
+    policy.sensor(models, state, part(at, 0, 3), landmark, state.slots[j], z, first)
     total = 0.0
     for r in range(first, first + k):
         # A sum is finite only if all of it is, or if it is so large that no filter can use it.
