@@ -222,20 +222,20 @@ def absorb(state: Any, gate: float) -> Any:
     f, g, h, p, q = Hp[1, 0], Hp[1, 1], Hp[1, 2], Hl[1, 0], Hl[1, 1]
     l0, l1 = cov[s], cov[s + 1]
     p00, p10, p20, p11, p21, p22 = cov[0, 0], cov[1, 0], cov[2, 0], cov[1, 1], cov[2, 1], cov[2, 2]
-    # P Hᵀ in the rows that H reads.
-    u0 = a * p00 + b * p10 + c * p20 + d * l0[0] + e * l1[0]
-    u1 = a * p10 + b * p11 + c * p21 + d * l0[1] + e * l1[1]
-    u2 = a * p20 + b * p21 + c * p22 + d * l0[2] + e * l1[2]
-    u3 = a * l0[0] + b * l0[1] + c * l0[2] + d * l0[s] + e * l1[s]
-    u4 = a * l1[0] + b * l1[1] + c * l1[2] + d * l1[s] + e * l1[s + 1]
-    v0 = f * p00 + g * p10 + h * p20 + p * l0[0] + q * l1[0]
-    v1 = f * p10 + g * p11 + h * p21 + p * l0[1] + q * l1[1]
-    v2 = f * p20 + g * p21 + h * p22 + p * l0[2] + q * l1[2]
-    v3 = f * l0[0] + g * l0[1] + h * l0[2] + p * l0[s] + q * l1[s]
-    v4 = f * l1[0] + g * l1[1] + h * l1[2] + p * l1[s] + q * l1[s + 1]
-    S00 = a * u0 + b * u1 + c * u2 + d * u3 + e * u4 + state.noise[0, 0]
-    S10 = a * v0 + b * v1 + c * v2 + d * v3 + e * v4 + state.noise[1, 0]
-    S11 = f * v0 + g * v1 + h * v2 + p * v3 + q * v4 + state.noise[1, 1]
+    # P Hᵀ in the rows that H reads; sums in pairs, for the next one waits for each.
+    u0 = (a * p00 + b * p10) + (c * p20 + d * l0[0]) + e * l1[0]
+    u1 = (a * p10 + b * p11) + (c * p21 + d * l0[1]) + e * l1[1]
+    u2 = (a * p20 + b * p21) + (c * p22 + d * l0[2]) + e * l1[2]
+    u3 = (a * l0[0] + b * l0[1]) + (c * l0[2] + d * l0[s]) + e * l1[s]
+    u4 = (a * l1[0] + b * l1[1]) + (c * l1[2] + d * l1[s]) + e * l1[s + 1]
+    v0 = (f * p00 + g * p10) + (h * p20 + p * l0[0]) + q * l1[0]
+    v1 = (f * p10 + g * p11) + (h * p21 + p * l0[1]) + q * l1[1]
+    v2 = (f * p20 + g * p21) + (h * p22 + p * l0[2]) + q * l1[2]
+    v3 = (f * l0[0] + g * l0[1]) + (h * l0[2] + p * l0[s]) + q * l1[s]
+    v4 = (f * l1[0] + g * l1[1]) + (h * l1[2] + p * l1[s]) + q * l1[s + 1]
+    S00 = (a * u0 + b * u1) + (c * u2 + d * u3) + (e * u4 + state.noise[0, 0])
+    S10 = (a * v0 + b * v1) + (c * v2 + d * v3) + (e * v4 + state.noise[1, 0])
+    S11 = (f * v0 + g * v1) + (h * v2 + p * v3) + (q * v4 + state.noise[1, 1])
     S[0, 0], S[0, 1], S[1, 0], S[1, 1] = S00, S10, S10, S11
     determinant = S00 * S11 - S10 * S10
     if not (S00 > 0.0 and isfinite(S00) and determinant > 0.0 and isfinite(determinant)):

@@ -87,12 +87,14 @@ def _project_four(pose: bool) -> Any:
             return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(number, len(lanes)), lanes))
 
         def combined(factors: Any, terms: list[Any]) -> Any:
-            total: Any = None
-            for k, term in enumerate(terms):
-                factor = _splat(builder, builder.extract_value(factors, k))
-                product = builder.fmul(factor, term, flags=("contract",))
-                total = product if total is None else builder.fadd(total, product, flags=("contract",))
-            return total
+            sums = [
+                builder.fmul(_splat(builder, builder.extract_value(factors, k)), term, flags=("contract",))
+                for k, term in enumerate(terms)
+            ]
+            while len(sums) > 1:  # in pairs, so that few wait for another
+                pairs = (sums[k : k + 2] for k in range(0, len(sums), 2))
+                sums = [builder.fadd(*pair, flags=("contract",)) if len(pair) == 2 else pair[0] for pair in pairs]
+            return sums[0]
 
         # The pose's three columns.
         rows = [load(row(i, k), context.get_constant(types.intp, 0)) for k in range(WIDTH)]

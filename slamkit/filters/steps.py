@@ -100,7 +100,7 @@ def linearise_one(policy: Any, models: Any, state: Any, j: int) -> bool:
     total = 0.0
     for r in range(first, first + k):
         # A sum is finite only if all of it is, or if it is so large that no filter can use it.
-        total += y[r] + H_pose[r, 0] + H_pose[r, 1] + H_pose[r, 2] + H_landmark[r, 0] + H_landmark[r, 1]
+        total += (y[r] + H_pose[r, 0]) + (H_pose[r, 1] + H_pose[r, 2]) + (H_landmark[r, 0] + H_landmark[r, 1])
     if isfinite(total):
         return True
     drop(state, state.order[j], k)
