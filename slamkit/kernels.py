@@ -70,7 +70,7 @@ PANEL = 64
 #: have room up to a multiple of four rows and columns, where what they hold means nothing.
 (subtract_four_rows,) = intrinsics("vectors", "subtract_four_rows")
 
-project_four, project_first_four = intrinsics("vectors", "project_four", "project_first_four")
+copy_fours, project_four, project_first_four = intrinsics("vectors", "copy_fours", "project_four", "project_first_four")
 
 #: TILE rows and columns at a time, of a rank that is a multiple of UNROLLED.
 subtract_tile, subtract_tile_into = intrinsics("vectors", "subtract_tile", "subtract_tile_into")
@@ -808,14 +808,6 @@ def squeeze(store: Any, slot: int, n: int) -> None:
 # -- a small belief before a step -------------------------------------------------------------------------------------
 
 
-@compiled("void(vector, vector, index)")
-def copy_fours(source: Any, target: Any, n: int) -> None:
-    """Copy n entries, and up to three more: four at a time is a vector, which Numba does not see in a short loop."""
-    for i in range(0, n, 4):
-        a, b, c, d = source[i], source[i + 1], source[i + 2], source[i + 3]
-        target[i], target[i + 1], target[i + 2], target[i + 3] = a, b, c, d
-
-
 @compiled("void(state)")
 def save(state: Any) -> None:
     """Keep a small belief, nothing of which rests, and its last update, of at most two rows."""
@@ -827,11 +819,11 @@ def save(state: Any) -> None:
         out[0], out[1], out[2] = state.z[r], state.y[r], state.t[r]
         out[3], out[4] = state.S[r, 0], state.S[r, 1]
         out[5], out[6] = state.L[r, 0], state.L[r, 1]
-        copy_fours(state.w[r], saved[20 + r * n :], D)
-    copy_fours(state.mean, saved[20 + 2 * n :], D)
-    copy_fours(state.points, saved[20 + 3 * n :], D)
+        copy_fours(state.w, r * n, saved, 20 + r * n, D)
+    copy_fours(state.mean, 0, saved, 20 + 2 * n, D)
+    copy_fours(state.points, 0, saved, 20 + 3 * n, D)
     for i in range(D):
-        copy_fours(state.cov[i], saved[20 + (4 + i) * n :], i + 1)
+        copy_fours(state.cov, i * n, saved, 20 + (4 + i) * n, i + 1)
 
 
 @compiled("void(state, index)")
@@ -845,11 +837,11 @@ def undo(state: Any, D: int) -> None:
         state.z[r], state.y[r], state.t[r] = out[0], out[1], out[2]
         state.S[r, 0], state.S[r, 1] = out[3], out[4]
         state.L[r, 0], state.L[r, 1] = out[5], out[6]
-        copy_fours(saved[20 + r * n :], state.w[r], D)
-    copy_fours(saved[20 + 2 * n :], state.mean, D)
-    copy_fours(saved[20 + 3 * n :], state.points, D)
+        copy_fours(saved, 20 + r * n, state.w, r * n, D)
+    copy_fours(saved, 20 + 2 * n, state.mean, 0, D)
+    copy_fours(saved, 20 + 3 * n, state.points, 0, D)
     for i in range(D):
-        copy_fours(saved[20 + (4 + i) * n :], state.cov[i], i + 1)
+        copy_fours(saved, 20 + (4 + i) * n, state.cov, i * n, i + 1)
     for i in range(D, size[ACTIVE]):
         state.local[i] = -1
     size[ACTIVE] = size[WHOLE] = D

@@ -61,6 +61,21 @@ def subtract_four_rows(typing: Any, M: Any, i: Any, x: Any, y: Any, a: Any, b: A
     return types.void(M, types.intp, x, y, a, b, types.intp), generate
 
 
+@intrinsic
+def copy_fours(typing: Any, source: Any, first: Any, target: Any, at: Any, n: Any) -> Any:
+    """Copy n entries from `first` on to where they begin at `at`, and up to three more."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        source, target = (context.make_array(signature.args[k])(context, builder, arguments[k]).data for k in (0, 2))
+        source, target = builder.gep(source, [arguments[1]]), builder.gep(target, [arguments[3]])
+        zero, step = (context.get_constant(types.intp, k) for k in (0, WIDTH))
+        with cgutils.for_range_slice(builder, zero, arguments[4], step, intp=arguments[4].type) as (j, _):
+            builder.store(builder.load(_at(builder, source, j), align=8), _at(builder, target, j), align=8)
+        return context.get_dummy_value()
+
+    return types.void(source, types.intp, target, types.intp, types.intp), generate
+
+
 def _project_four(pose: bool) -> Any:
     """An intrinsic for four rows, or for the first four, of which three are the pose's."""
 
