@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit import consistency, metrics, se2
-from slamkit.compiled import Compiled
+from slamkit.compiled import Compiled, MachineCode
 from slamkit.errors import DivergenceError, InputError, LogFileError
 from slamkit.filters import FILTERS, IdealEKFSLAM
 from slamkit.logs import History, Log, PathLike, read_archive, reading, write_archive
@@ -1280,20 +1280,20 @@ def _compile(setups: Sequence[_Setup], parallel: Any) -> None:
     """Let each process compile a share: otherwise all of them would begin with the same functions."""
     from joblib import delayed
 
-    functions: dict[Compiled, None] = {}
+    functions: dict[MachineCode, None] = {}
     for setup in setups:
         for name in setup.filters:
             # What a filter of the user's own cannot do is recorded in its trials.
             with suppress(Exception):
                 functions.update(dict.fromkeys(setup.make(name)._compiles()))
-    for _ in parallel(delayed(_compile_one)(f) for f in functions):
+    for _ in parallel(delayed(_compile_one)(*f) for f in functions):
         pass
 
 
-def _compile_one(function: Compiled) -> None:
+def _compile_one(function: Compiled, attribute: str) -> None:
     # Likewise what does not compile.
     with suppress(Exception):
-        _ = function.dispatcher
+        getattr(function, attribute)
 
 
 def _labelled(setup: _Setup, task: _Task) -> tuple[_Task, _Part]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import filterpy.kalman
+import numba
 import numpy as np
 import pytest
 from family import (
@@ -30,6 +31,7 @@ from hypothesis.extra.numpy import arrays
 
 from slamkit import InputError, Log, ModelError, Scan, SlamkitError
 from slamkit.models import RangeBearing, Unicycle
+from slamkit.protocols import SensorFunctions
 from slamkit.se2 import wrap
 
 POSE = (0.3, -0.2, 3.0)
@@ -105,10 +107,6 @@ def test_a_plain_model_gives_the_same_history(name: str, order: str, sensor: str
 
 @all_filters
 def test_numba_functions_of_a_user_plug_in(name: str) -> None:
-    import numba
-
-    from slamkit.protocols import SensorFunctions
-
     class Mine(PlainSensor):
         params = np.empty(0)
         functions = SensorFunctions(*[numba.njit(f.function) for f in _inlined()])
@@ -118,6 +116,21 @@ def test_numba_functions_of_a_user_plug_in(name: str) -> None:
     assert mine._models.compiled
     log = drive(built_in.motion, built_in.sensor)
     np.testing.assert_allclose(built_in.run(log).poses, mine.run(log).poses, atol=10 * ROUNDING[name])
+
+
+def test_numba_functions_may_be_compiled_for_arrays_already() -> None:
+    """With explicit signatures Numba compiles them once, for its own arrays, and refuses any others."""
+    v, m = numba.float64[::1], numba.float64[:, ::1]
+    kinds = {"vector": v, "matrix": m, "void": numba.void}
+
+    class Mine(PlainSensor):
+        params = np.empty(0)
+        functions = SensorFunctions(*[numba.njit(eval(f.signature, kinds))(f.function) for f in _inlined()])
+
+    built_in = make("ekf", sensor="relative")
+    mine = make("ekf", sensor=Mine(built_in.sensor))
+    log = drive(built_in.motion, built_in.sensor)
+    np.testing.assert_allclose(built_in.run(log).poses, mine.run(log).poses, atol=10 * ROUNDING["ekf"])
 
 
 def _inlined() -> Any:

@@ -27,7 +27,20 @@ ACTIVE, ROWS, ACTIVE_THEN, FAILING, STATUS, COLUMNS, WHOLE, CORRECTED, WHOLE_THE
 #: Doubles of a cache line, rows and columns of a tile; terms of a sum that are written out, which divides every rank.
 TILE, UNROLLED = 8, 4
 
-__all__ = ["Compiled", "Models", "Policy", "Shared", "State", "call", "compiled", "intrinsics", "models_of", "needed", "part"]
+__all__ = [
+    "Compiled",
+    "MachineCode",
+    "Models",
+    "Policy",
+    "Shared",
+    "State",
+    "call",
+    "compiled",
+    "intrinsics",
+    "models_of",
+    "needed",
+    "part",
+]
 
 
 class Compiled:
@@ -117,6 +130,10 @@ class Compiled:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _find, (self.function.__module__, self.function.__qualname__)
+
+
+#: A function, and the attribute that is its machine code: for Python ("dispatcher") or for tables ("entry").
+MachineCode = tuple[Compiled, str]
 
 
 class Intrinsic(Compiled):

@@ -21,8 +21,8 @@ from numba.core.datamodel import models as data_models
 from numba.core.datamodel import register_default
 from numba.core.errors import TypingError
 from numba.core.imputils import lower_builtin, lower_cast, lower_getattr_generic
-from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.core.registry import cpu_target
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.extending import NativeValue, intrinsic, unbox
 from numba.np.arrayobj import populate_array
 

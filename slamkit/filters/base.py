@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 from slamkit.belief import BLOCK, Belief, Storage
-from slamkit.compiled import FAILING, ROWS, STATUS, Compiled, Models, Policy, call, models_of, needed
+from slamkit.compiled import FAILING, ROWS, STATUS, Compiled, MachineCode, Models, Policy, call, models_of, needed
 from slamkit.errors import (
     DivergenceError,
     InputError,
@@ -671,13 +671,14 @@ class LandmarkFilter:
             return steps.step_at(policy.address, models.address, state.address, u, dt, slots, z)  # type: ignore[no-any-return]
         return self._guarded(steps.step, u, dt, slots, z)
 
-    def _compiles(self) -> list[Compiled]:
-        """Every function that is machine code once the filter has run, what takes longest first."""
+    def _compiles(self) -> list[MachineCode]:
+        """All machine code that the filter runs, compiled and as Python, what takes longest first."""
         if not self._models.compiled:
             return []
         fields = [*self._policy.fields.values(), *self._models.fields.values()]
-        own = [f for f in fields if isinstance(f, Compiled) and f is not steps.step]
-        return needed([steps.step, steps.run, steps.step_at, *own])
+        own = [steps.step, *(f for f in fields if isinstance(f, Compiled) and f is not steps.step)]
+        called = [steps.run, steps.step_at, *(f for f in needed(own) if not f.generic)]
+        return [*((f, "entry") for f in own), *((f, "dispatcher") for f in called)]
 
     def _guarded(self, step: Compiled, *arguments: Any) -> int:
         """Run a step; a model in Python that raises in the middle of it leaves the belief as it was."""

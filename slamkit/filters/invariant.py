@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit.compiled import ACTIVE, Compiled, compiled
+from slamkit.compiled import ACTIVE, MachineCode, compiled
 from slamkit.filters import first_estimates
 from slamkit.filters.base import PolicyFunctions
 from slamkit.filters.ekf import EKFSLAM
@@ -96,8 +96,8 @@ class InvariantEKFSLAM(EKFSLAM):
     feet = "points"
     compresses = False
 
-    def _compiles(self) -> list[Compiled]:
-        return [*super()._compiles(), shear]
+    def _compiles(self) -> list[MachineCode]:
+        return [*super()._compiles(), (shear, "dispatcher")]
 
     def _settle(self) -> None:
         shear(self._belief.state)

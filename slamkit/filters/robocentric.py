@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit import se2
-from slamkit.compiled import ACTIVE, ROWS, Compiled, compiled
+from slamkit.compiled import ACTIVE, ROWS, MachineCode, compiled
 from slamkit.filters.base import PolicyFunctions
 from slamkit.filters.ekf import EKFSLAM
 from slamkit.filters.standard import motion_noise
@@ -207,8 +207,8 @@ class RobocentricEKFSLAM(EKFSLAM):
         self._belief.state.memory[2:5] = self._belief.mean[:3]
         self._hold(self._belief.mean[:3], self._belief.covariance[:3, :3])
 
-    def _compiles(self) -> list[Compiled]:
-        return [*super()._compiles(), compose]
+    def _compiles(self) -> list[MachineCode]:
+        return [*super()._compiles(), (compose, "dispatcher")]
 
     def _advance(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
         super()._advance(u, dt, ids, z)
