@@ -38,6 +38,7 @@ from slamkit.compiled import (
     WHOLE,
     WHOLE_THEN,
     State,
+    aligned,
 )
 from slamkit.errors import DivergenceError, InputError, MemoryCapError
 from slamkit.square import Square
@@ -149,7 +150,11 @@ class Belief:
         self._squares: list[Square] = []
         self._reads = 0
         kept = {"mean": start, "points": start, "cov": np.tril(np.asarray(covariance, dtype=float))}
-        kept |= {"memory": np.zeros(6), "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0, 0, 0], dtype=np.int64)}
+        kept |= {
+            "F": np.eye(BASE),
+            "memory": np.zeros(6),
+            "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0, 0, 0], dtype=np.int64),
+        }
         kept |= {"owner": np.arange(b), "local": np.arange(b), "work": self._terms()}
         room = b + BLOCK * int(min(8, self.storage.compress_above))
         self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, whole=room)
@@ -167,12 +172,14 @@ class Belief:
 
         def copied(name: str, shape: tuple[int, ...], fill: float = 0.0) -> Any:
             old = kept.get(name, np.zeros((0,) * len(shape)))
-            out = np.full(shape, fill, dtype=old.dtype) if fill else np.zeros(shape, dtype=old.dtype)
+            out = aligned(shape, old.dtype)
+            if fill:
+                out[...] = fill
             part = tuple(slice(0, min(a, b)) for a, b in zip(shape, old.shape, strict=True))
             out[part] = old[part]
             return out
 
-        cov = np.zeros((capacity, capacity))
+        cov = aligned((capacity, capacity))
         cov[:D, :D] = kept["cov"][:D, :D]
         nothing = np.zeros((0, 0))
         self.state = State(
@@ -186,42 +193,42 @@ class Belief:
             minus_Psi=copied("minus_Psi", (columns, columns)),
             theta=copied("theta", (columns,)),
             g=copied("g", (rows, columns)),
-            columns=copied("columns", (columns,)) if "columns" in kept else np.zeros(columns, dtype=np.int64),
+            columns=copied("columns", (columns,)) if "columns" in kept else aligned(columns, np.int64),
             owner=copied("owner", (capacity,)),
             local=copied("local", (whole,), fill=-1),
-            rest=kept["rest"] if "rest" in kept else np.zeros(0),
-            rest_points=kept["rest_points"] if "rest_points" in kept else np.zeros(0),
-            store=kept["store"] if "store" in kept else np.zeros(0),
+            rest=kept["rest"] if "rest" in kept else aligned(0),
+            rest_points=kept["rest_points"] if "rest_points" in kept else aligned(0),
+            store=kept["store"] if "store" in kept else aligned(0),
             V=kept.get("V", nothing),
-            pose=np.zeros(BASE),
-            F=copied("F", (BASE, BASE)) if "F" in kept else np.eye(BASE),
+            pose=aligned(BASE),
+            F=copied("F", (BASE, BASE)),
             Q=copied("Q", (BASE, BASE)),
-            G=np.zeros((BASE, m)),
-            sigma_u=np.zeros((m, m)),
-            at=np.zeros(BASE + BLOCK * sightings),
-            slots=np.zeros(sightings, dtype=np.int64),
-            order=np.zeros(sightings, dtype=np.int64),
-            innovations=np.zeros((sightings, k)),
-            nis=np.zeros(sightings),
+            G=aligned((BASE, m)),
+            sigma_u=aligned((m, m)),
+            at=aligned(BASE + BLOCK * sightings),
+            slots=aligned(sightings, np.int64),
+            order=aligned(sightings, np.int64),
+            innovations=aligned((sightings, k)),
+            nis=aligned(sightings),
             truth=copied("truth", (sightings, BLOCK)),
-            accepted=np.zeros(sightings, dtype=np.bool_),
-            saved=np.zeros(kernels.SMALL * (kernels.SMALL + 4) + 20),
+            accepted=aligned(sightings, np.bool_),
+            saved=aligned(kernels.SMALL * (kernels.SMALL + 4) + 20),
             z=copied("z", (rows,)),
-            z_hat=np.zeros(k),
+            z_hat=aligned(k),
             y=copied("y", (rows,)),
-            effective=np.zeros(rows),
-            H_pose=np.zeros((rows, BASE)),
-            H_landmark=np.zeros((rows, BLOCK)),
-            noise=np.zeros((rows, k)),
+            effective=aligned(rows),
+            H_pose=aligned((rows, BASE)),
+            H_landmark=aligned((rows, BLOCK)),
+            noise=aligned((rows, k)),
             S=copied("S", (rows, rows)),
             L=copied("L", (rows, rows)),
             w=copied("w", (rows, capacity)),
             t=copied("t", (rows,)),
-            dx=np.zeros(capacity),
-            gathered=np.zeros((BASE + BLOCK, capacity)),
-            G_pose=np.zeros((BLOCK, BASE)),
-            G_z=np.zeros((BLOCK, k)),
-            block=np.zeros((BLOCK, BLOCK)),
+            dx=aligned(capacity),
+            gathered=aligned((BASE + BLOCK, capacity)),
+            G_pose=aligned((BLOCK, BASE)),
+            G_z=aligned((BLOCK, k)),
+            block=aligned((BLOCK, BLOCK)),
         )
 
     # -- what it holds ------------------------------------------------------------------------------------------------

@@ -8,15 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit.compiled import TILE
+from slamkit.compiled import TILE, aligned
 
 Array = NDArray[np.float64]
-
-
-def at_a_line(memory: Array) -> Array:
-    """All but TILE entries of a vector: those from the first on that starts a cache line."""
-    first = -(memory.ctypes.data // memory.itemsize) % TILE
-    return memory[first : len(memory) - TILE + first]
 
 
 class Square:
@@ -39,7 +33,7 @@ class Square:
 
     def __init__(self, capacity: int) -> None:
         self.capacity, self.lead = capacity, capacity + TILE
-        self.store = at_a_line(np.zeros(capacity * self.lead + TILE))
+        self.store = aligned(capacity * self.lead)
         self._address = self.store.ctypes.data
         self._room = np.empty(0)
         self._loans: weakref.WeakSet[_Loan] = weakref.WeakSet()
@@ -47,7 +41,7 @@ class Square:
     def room(self, n: int) -> Array:
         """Memory (n,) to work in, from a cache line on; the same at every call."""
         if len(self._room) < n:
-            self._room = at_a_line(np.empty(n + TILE))
+            self._room = aligned(n)
         return self._room[:n]
 
     @staticmethod

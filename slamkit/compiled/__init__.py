@@ -18,6 +18,9 @@ from pathlib import Path
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
 #: Entries of ``State.size``: D of what is active; rows of the last update and D of what was active then (-1 once that
 #: has rested); the failing sighting and the status of the last step; columns C of Φ, D of the whole map, first row of
 #: the store that a flush has yet to correct; D of the whole map at the last update; sightings since the step began that
@@ -34,6 +37,7 @@ __all__ = [
     "Policy",
     "Shared",
     "State",
+    "aligned",
     "call",
     "compiled",
     "intrinsics",
@@ -57,10 +61,14 @@ class Compiled:
         ``vector``, ``matrix``, ``cube``, ``integers``, ``flags``, ``state``, ``models``, ``policy``.
     generic : bool
         True: it calls functions of models or filters, so its Python form calls the Python forms of what it uses.
+    allocates : bool
+        True: it makes arrays. In code that makes none nobody counts the references to any.
     """
 
-    def __init__(self, function: FunctionType, signature: str, *, generic: bool = False) -> None:
-        self.function, self.signature, self.generic = function, signature, generic
+    def __init__(
+        self, function: FunctionType, signature: str, *, generic: bool = False, allocates: bool = False
+    ) -> None:
+        self.function, self.signature, self.generic, self.allocates = function, signature, generic, allocates
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
 
     @property
@@ -112,6 +120,7 @@ class Compiled:
         # contract lets a·b + c be one instruction; no other rule of floating-point arithmetic is relaxed.
         with cache_folder():
             options |= {"fastmath": {"contract"}, "error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+            options["_nrt"] = self.allocates
             return numba.njit(**options)(self._over(lambda c: c.jitted))
 
     def _compile(self, dispatcher: Any, words: str = "WORDS") -> Any:
@@ -177,12 +186,14 @@ def _find(module: str, name: str) -> Any:
     return getattr(importlib.import_module(module), name)
 
 
-def compiled(signature: str, *, generic: bool = False) -> Callable[[Callable[..., Any]], Compiled]:
+def compiled(
+    signature: str, *, generic: bool = False, allocates: bool = False
+) -> Callable[[Callable[..., Any]], Compiled]:
     """Decorate a function so that it compiles at its first call; see :class:`Compiled`."""
 
     def decorate(function: Callable[..., Any]) -> Compiled:
         assert isinstance(function, FunctionType)
-        return Compiled(function, signature, generic=generic)
+        return Compiled(function, signature, generic=generic, allocates=allocates)
 
     return decorate
 
@@ -238,10 +249,25 @@ class Shared:
         return load_structures().Handle(self.kind, **{n: getattr(v, "entry", v) for n, v in self.fields.items()})
 
 
+def aligned(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """An array of zeros that starts a cache line: a vector of numbers across two takes twice the time to read."""
+    line, kind = 8 * TILE, np.dtype(dtype)
+    size = kind.itemsize * int(np.prod(shape))
+    memory = np.zeros(size + line, dtype=np.uint8)
+    first = -memory.ctypes.data % line
+    return memory[first : first + size].view(kind).reshape(shape)
+
+
 class State(Shared):
     """Belief and workspace. The arrays are shared with compiled code: each side sees what the other writes."""
 
     kind = "state"
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> State:
+        copies = {name: aligned(array.shape, array.dtype) for name, array in self.fields.items()}
+        for name, array in self.fields.items():
+            copies[name][...] = array
+        return State(**copies)
 
 
 class Models(Shared):

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 # ``state.points`` holds the true state, ``state.memory[:3]`` the true pose that a prediction arrives at.
 
 
-@compiled("void(models, state, vector, real)", generic=True)
+@compiled("void(models, state, vector, real)", generic=True, allocates=True)
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """F = [I, J(p'_true - p_true); 0 1], G and Q at the true pose."""
     standard_motion(models, state, u, dt)
@@ -55,7 +55,7 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     models.sensor_jacobians(true_pose, true_landmark, models.sensor_params, state.H_pose[rows], state.H_landmark[rows])
 
 
-@compiled("void(models, state, index, index, vector)", generic=True)
+@compiled("void(models, state, index, index, vector)", generic=True, allocates=True)
 def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """The landmark from the estimate, G_x and G_z at the truth."""
     landmark = state.truth[place]

@@ -43,7 +43,7 @@ def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
         move_lever(state, memory[0] - tentative_x, memory[1] - tentative_y)
 
 
-@compiled("void(state, real, real)")
+@compiled("void(state, real, real)", allocates=True)
 def move_lever(state: Any, dx: float, dy: float) -> None:
     """Replace F by T F, T = [I, J(dx, dy); 0 1], in the prediction already made: P ← T (P - Q) Tᵀ + Q; O(D)."""
     F, Q, old, rest = state.F, state.Q, state.F.copy(), state.Q.copy()

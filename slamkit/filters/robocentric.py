@@ -49,7 +49,7 @@ def turn(M: Any, angle: float) -> None:
         M[i, 0], M[i, 1] = c * x - s * y, s * x + c * y
 
 
-@compiled("void(models, state, vector, real)", generic=True)
+@compiled("void(models, state, vector, real)", generic=True, allocates=True)
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """Move r; the model sees the world, for its noise may lie along the world's axes."""
     mean, arrived, a = state.mean, state.pose, state.memory[2:5]
@@ -143,7 +143,7 @@ def compose(state: Any) -> None:
     state.memory[0] = 0.0
 
 
-@compiled("void(state, vector, matrix)")
+@compiled("void(state, vector, matrix)", allocates=True)
 def report(state: Any, pose: Any, covariance: Any) -> None:
     """Compose if a scan has corrected the belief, for this ends a step; then the pose and W P Wᵀ."""
     if state.memory[0] != 0.0:

@@ -99,7 +99,7 @@ def spread(memory: Any, n: int) -> float:
     return float(memory[0] * sqrt(n + memory[2]))
 
 
-@compiled("void(state, index, matrix)")
+@compiled("void(state, index, matrix)", allocates=True)
 def local_root(state: Any, slot: int, L: Any) -> None:
     """L ← root in robot axes of the covariance of the pose, and of the landmark at `slot` unless that is 0."""
     n = 5 if slot > 0 else 3
@@ -139,7 +139,7 @@ def turn_columns(M: Any, rows: int, n: int, angle: float) -> None:
             M[i, k], M[i, k + 1] = c * x - s * y, s * x + c * y
 
 
-@compiled("void(models, state, vector, real, index)", generic=True)
+@compiled("void(models, state, vector, real, index)", generic=True, allocates=True)
 def regress_motion(models: Any, state: Any, u: Any, dt: float, total: int) -> None:
     """Regression over sigma points of the pose and the control's noise: F = P_x'x P_xx⁻¹, Q the rest.
 
@@ -190,7 +190,7 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     regress_motion(models, state, u, dt, 3 + u.shape[0])
 
 
-@compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
+@compiled("void(models, state, vector, vector, index, vector, index)", generic=True, allocates=True)
 def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
     """Regression over sigma points of the pose and this landmark: H = P_xzᵀ P⁻¹, its error added to the noise."""
     k = z.shape[0]
@@ -227,7 +227,7 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     models.residual(z, state.z_hat, params, state.y[row : row + k])
 
 
-@compiled("void(models, state, index, vector, index)", generic=True)
+@compiled("void(models, state, index, vector, index)", generic=True, allocates=True)
 def regress_start(models: Any, state: Any, slot: int, z: Any, total: int) -> None:
     """Regression over sigma points of the pose and the measurement's noise, among those of `total` dimensions."""
     k = z.shape[0]
@@ -285,7 +285,7 @@ def whole_start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     regress_start(models, state, slot, z, state.size[ACTIVE] + z.shape[0])
 
 
-@compiled("void(matrix, real, index, real, matrix)")
+@compiled("void(matrix, real, index, real, matrix)", allocates=True)
 def whole_columns(P: Any, heading: float, count: int, floor: float, C: Any) -> None:
     """First `count` columns of C (D, D) ← T chol(Tᵀ P T), pivots not below `floor`; the others mean nothing.
 
@@ -312,7 +312,7 @@ def whole_columns(P: Any, heading: float, count: int, floor: float, C: Any) -> N
     turn_rows(C, D, heading)
 
 
-@compiled("index(models, state, index)", generic=True)
+@compiled("index(models, state, index)", generic=True, allocates=True)
 def regress(models: Any, state: Any, n: int) -> int:
     """y, S and w ← the cross-covariance, by regression of n sightings over the whole state; how many were finite.
 

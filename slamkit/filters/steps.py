@@ -461,6 +461,7 @@ def step_at(policy: int, models: int, state: int, u: Any, dt: float, slots: Any,
     "index(policy, models, state, matrix, vector, integers, integers, integers, integers, matrix, matrix, matrix, "
     "index, index, matrix, cube, matrix, vector, flags)",
     generic=True,
+    allocates=True,
 )
 def run(
     policy: Any, models: Any, state: Any, controls: Any, dt: Any, control: Any, first: Any, which: Any, slot_of: Any,
