@@ -267,6 +267,20 @@ class _Report:
         self.expect(f"{name} is finite", finite or refused, at, "finite numbers", results)
         return finite
 
+    def together(self, name: str, law: str, at: Point, *apart: Array) -> None:
+        """The function that does at one blow what others do apart agrees with them, where there is one."""
+        function = getattr(getattr(self.model, "functions", None), name, None)
+        if function is None:
+            return
+        found = [np.full(a.shape, np.nan) for a in apart]
+        try:
+            function(*_copies(at), np.asarray(getattr(self.model, "params", ()), dtype=float), *found)
+        except Exception as error:
+            self.fail(f"functions.{name} raises no error", _short(error), at)
+            return
+        expected, got = (np.concatenate([a.ravel() for a in arrays]) for arrays in (apart, found))
+        self.expect(law, np.abs(got - expected) <= 1e-9 * (1 + np.abs(expected)), at, expected, got)
+
     def jacobian(
         self,
         law: str,
@@ -366,11 +380,15 @@ def _check_motion(report: _Report, controls: Array, rng: np.random.Generator) ->
     m = controls.shape[1]
     for pose, u, dt in _motions(controls, rng):
         at = {"pose": pose, "u": u, "dt": dt}
-        for name, size, point in (("control_noise", m, {"u": u, "dt": dt}), ("pose_noise", 3, at)):
-            noise = report.output(name, point, (size, size))
+        noisy = ("control_noise", m, {"u": u, "dt": dt}), ("pose_noise", 3, at)
+        noises = [report.output(name, point, (size, size)) for name, size, point in noisy]
+        for (name, _, point), noise in zip(noisy, noises, strict=True):
             if noise is not None and report.finite(name, point, noise):
                 _covariance(report, f"{name} is symmetric positive semidefinite", point, noise)
         moved, jacobians = report.output("move", at, (3,)), report.output("jacobians", at, (3, 3), (3, m))
+        if all(results is not None for results in (moved, jacobians, *noises)):
+            law = "drive is move, jacobians, control_noise and pose_noise"
+            report.together("drive", law, at, moved, *jacobians, *noises)
         if moved is None or not report.finite("move", at, moved):
             continue
         scale = 1.0 + float(np.abs(pose).max())
@@ -470,23 +488,10 @@ def _check_prediction(report: _Report, k: int, pose: Array, landmark: Array, dis
         report.jacobian(law, "predict", at, "pose", jacobians[0], scale, step, partial(_residual, report))
         law = "H_landmark is ∂predict/∂landmark"
         report.jacobian(law, "predict", at, "landmark", jacobians[1], scale, reach, partial(_residual, report))
-        _check_sight(report, pose, landmark, z, jacobians)
+        other = z + 0.1
+        law, apart = "sight is predict, residual and jacobians", (z, _residual(report, other, z), *jacobians)
+        report.together("sight", law, {**at, "z": other}, *apart)
     return z
-
-
-def _check_sight(report: _Report, pose: Array, landmark: Array, z: Array, jacobians: tuple[Array, ...]) -> None:
-    """The law on the function that does everything at one blow, where there is one."""
-    sight = getattr(getattr(report.model, "functions", None), "sight", None)
-    if sight is None:
-        return
-    k, other = len(z), z + 0.1
-    found = np.empty(k), np.empty(k), np.empty((k, 3)), np.empty((k, 2))
-    sight(pose.copy(), landmark.copy(), other, np.asarray(report.model.params, dtype=float), *found)
-    expected = z, _residual(report, other, z), *jacobians
-    together, apart = (np.concatenate([a.ravel() for a in values]) for values in (found, expected))
-    bound = 1e-9 * (1 + np.abs(apart))
-    law = "sight is predict, residual and jacobians"
-    report.expect(law, np.abs(together - apart) <= bound, {"pose": pose, "landmark": landmark}, apart, together)
 
 
 def _check_inverse(report: _Report, k: int, pose: Array, z: Array, distance: float) -> None:

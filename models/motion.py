@@ -26,6 +26,7 @@ MOVE = "void(vector, vector, real, vector, vector)"
 JACOBIANS = "void(vector, vector, real, vector, matrix, matrix)"
 CONTROL_NOISE = "void(vector, real, vector, matrix)"
 POSE_NOISE = "void(vector, vector, real, vector, matrix)"
+DRIVE = "void(vector, vector, real, vector, vector, matrix, matrix, matrix, matrix)"
 
 
 @compiled("real(real)")
@@ -115,6 +116,27 @@ def unicycle_pose_noise(pose: Any, u: Any, dt: float, params: Any, out: Any) -> 
             out[i, j] = params[2 + 3 * i + j]
 
 
+@compiled(DRIVE)
+def arc_drive(pose: Any, u: Any, dt: float, params: Any, out: Any, F: Any, G: Any, sigma: Any, noise: Any) -> None:
+    """All of the exact arc, to the bit; each argument is read once, before anything is written."""
+    x, y, heading, v, omega, sigma_v, sigma_omega = pose[0], pose[1], pose[2], u[0], u[1], params[0], params[1]
+    a = 0.5 * omega * dt
+    c, s, part = cos(heading + a), sin(heading + a), sinc(a)
+    d, per_v, slope = v * dt * part, dt * part, 0.5 * dt * v * dt * sinc_slope(a)
+    turn = 0.5 * dt * (v * per_v)
+    out[0], out[1], out[2] = x + d * c, y + d * s, wrap_angle(heading + omega * dt)
+    F[:, :] = 0.0
+    F[0, 0] = F[1, 1] = F[2, 2] = 1.0
+    F[0, 2], F[1, 2] = -(v * per_v) * s, v * per_v * c
+    G[0, 0], G[1, 0], G[2, 0] = per_v * c, per_v * s, 0.0
+    G[0, 1], G[1, 1], G[2, 1] = slope * c - turn * s, slope * s + turn * c, dt
+    sigma[0, 0], sigma[1, 1] = sigma_v * sigma_v, sigma_omega * sigma_omega
+    sigma[0, 1] = sigma[1, 0] = 0.0
+    for i in range(3):
+        for j in range(3):
+            noise[i, j] = params[2 + 3 * i + j]
+
+
 @dataclass(frozen=True, init=False)
 class Unicycle(CompiledMotion):
     """Unicycle on an exact arc; control u = (v [m/s], ω [rad/s]) held over dt.
@@ -145,7 +167,7 @@ class Unicycle(CompiledMotion):
     pose_covariance: tuple[tuple[float, ...], ...]  #: `pose_noise` as it was given
 
     functions: ClassVar[MotionFunctions] = MotionFunctions(  # type: ignore[misc]
-        arc_move, arc_jacobians, unicycle_noise, unicycle_pose_noise
+        arc_move, arc_jacobians, unicycle_noise, unicycle_pose_noise, arc_drive
     )
     control_dim: ClassVar[int] = 2  # type: ignore[misc]
 
@@ -213,6 +235,24 @@ def no_pose_noise(pose: Any, u: Any, dt: float, params: Any, out: Any) -> None:
     out[:, :] = 0.0
 
 
+@compiled(DRIVE)
+def odometry_drive(pose: Any, u: Any, dt: float, params: Any, out: Any, F: Any, G: Any, sigma: Any, noise: Any) -> None:
+    """All of them, with one sine and cosine."""
+    heading, rot1, trans, rot2 = pose[2], u[0], u[1], u[2]
+    c, s = cos(heading + rot1), sin(heading + rot1)
+    out[0], out[1] = pose[0] + trans * c, pose[1] + trans * s
+    out[2] = wrap_angle(heading + rot1 + rot2)
+    odometry_noise(u, dt, params, sigma)
+    no_pose_noise(pose, u, dt, params, noise)
+    F[:, :] = 0.0
+    F[0, 0] = F[1, 1] = F[2, 2] = 1.0
+    F[0, 2] = G[0, 0] = -trans * s
+    F[1, 2] = G[1, 0] = trans * c
+    G[0, 1], G[1, 1], G[2, 1] = c, s, 0.0
+    G[0, 2] = G[1, 2] = 0.0
+    G[2, 0] = G[2, 2] = 1.0
+
+
 @dataclass(frozen=True)
 class Odometry(CompiledMotion):
     """Odometry as turn, drive, turn; control u = (δ_rot1 [rad], δ_trans [m], δ_rot2 [rad]) over the whole step.
@@ -246,7 +286,7 @@ class Odometry(CompiledMotion):
     alpha4: float
 
     functions: ClassVar[MotionFunctions] = MotionFunctions(  # type: ignore[misc]
-        odometry_move, odometry_jacobians, odometry_noise, no_pose_noise
+        odometry_move, odometry_jacobians, odometry_noise, no_pose_noise, odometry_drive
     )
     control_dim: ClassVar[int] = 3  # type: ignore[misc]
 

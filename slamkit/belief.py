@@ -203,6 +203,7 @@ class Belief:
             pose=aligned(BASE),
             F=copied("F", (BASE, BASE)),
             Q=copied("Q", (BASE, BASE)),
+            before=aligned(24),
             G=aligned((BASE, m)),
             sigma_u=aligned((m, m)),
             at=aligned(BASE + BLOCK * sightings),

@@ -74,13 +74,15 @@ class MotionFunctions(NamedTuple):
     """A motion model as functions that write into their last arguments, ready to be compiled.
 
     Each is a Numba function or one wrapped by :func:`slamkit.compiled.compiled`; `params` is the model's
-    one-dimensional float64 array.
+    one-dimensional float64 array. The last may be missing: it does at one blow, and so faster, what the others do.
     """
 
     move: Callable[..., None]  #: (pose, u, dt, params, out (3,))
     jacobians: Callable[..., None]  #: (pose, u, dt, params, F (3, 3), G (3, m))
     control_noise: Callable[..., None]  #: (u, dt, params, out (m, m))
     pose_noise: Callable[..., None]  #: (pose, u, dt, params, out (3, 3))
+    #: (pose, u, dt, params, moved (3,), F (3, 3), G (3, m), control noise (m, m), pose noise (3, 3))
+    drive: Callable[..., None] | None = None
 
 
 class SensorFunctions(NamedTuple):

@@ -22,13 +22,13 @@ from scipy.linalg.blas import dgemm
 
 from slamkit import InputError, Log, Scan, World, belief, kernels
 from slamkit.belief import BASE, BLOCK, PANEL, Belief, Storage
-from slamkit.compiled import ACTIVE, ACTIVE_THEN, CORRECTED, LEAD, ROWS, TILE, WHOLE, WHOLE_THEN
+from slamkit.compiled import ACTIVE, ACTIVE_THEN, CORRECTED, LEAD, ROWS, TILE, WHOLE, WHOLE_THEN, aligned
 from slamkit.errors import DivergenceError, MemoryCapError
 from slamkit.filters import steps
 from slamkit.gauge import null_directions, nullity
 from slamkit.models import RelativePosition
 from slamkit.simulate import random_world, simulate
-from slamkit.square import Square, at_a_line
+from slamkit.square import Square
 
 #: The filters whose update leaves alone what is not in sight.
 COMPRESSING = ("ekf", "fej", "oc", "iterated", "ideal", "ukf", "oc-ukf")
@@ -728,6 +728,17 @@ def test_a_refused_step_in_a_small_map_never_was(name: str, landmarks: int) -> N
 # -- memory
 
 
+@pytest.mark.parametrize("landmarks", [3, 40, 100])
+def test_every_array_starts_a_cache_line(landmarks: int) -> None:
+    f = grown("ekf", UNCOMPRESSED, landmarks)
+    for g in (f, copy.deepcopy(f)):
+        fields = g._belief.state.fields
+        own = [n for n in fields if fields[n].size and n not in ("size", "work", "memory")]
+        assert [n for n in own if fields[n].ctypes.data % 64] == []
+        assert not [n for n in own if np.shares_memory(fields[n], f._belief.state.fields[n])] or g is f
+    assert g.P.tobytes() == f.P.tobytes()
+
+
 def packed(landmarks: int) -> int:
     """Bytes of a store that holds a map, in whole panels."""
     panels = -(-(BASE + BLOCK * landmarks) // PANEL)
@@ -958,7 +969,7 @@ def test_both_triangles_are_corrected(same_place: bool, n: int, rank: int, seed:
     rows = source.store.reshape(-1, source.lead)
     rows[:], rows[:n, :n] = 7.0, P
     into = source if same_place else target
-    V = at_a_line(np.empty(n * rank + TILE))
+    V = aligned(n * rank)
     kernels.tile(W, rank, V)
     kernels.downdate_square(source.store, into.store, same_place, source.lead, V, n)
     out = into.store.reshape(-1, into.lead)

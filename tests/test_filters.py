@@ -62,6 +62,8 @@ def same(a: Any, b: Any) -> bool:
         and np.array_equal(a.y, b.y)
         and np.array_equal(a.S, b.S)
         and np.array_equal(a.K, b.K)
+        and np.array_equal(a.F, b.F)
+        and np.array_equal(a.Q, b.Q)
         and a.log_likelihood == b.log_likelihood
     )
 

@@ -775,6 +775,19 @@ class Mounted:
 
 
 @numba.njit
+def numba_sight(pose, landmark, z, params, z_hat, y, H_pose, H_landmark):  # type: ignore[no-untyped-def]
+    numba_predict(pose, landmark, params, z_hat)
+    numba_residual(z, z_hat, params, y)
+    numba_jacobians(pose, landmark, params, H_pose, H_landmark)
+
+
+class Watcher(Mounted):
+    """It says at one blow what it sees."""
+
+    functions = Mounted.functions._replace(sight=numba_sight)
+
+
+@numba.njit
 def numba_move(pose, u, dt, params, out):  # type: ignore[no-untyped-def]
     out[0] = pose[0] + u[0] * dt * np.cos(pose[2])
     out[1] = pose[1] + u[0] * dt * np.sin(pose[2])
@@ -803,6 +816,14 @@ def numba_pose_noise(pose, u, dt, params, out):  # type: ignore[no-untyped-def]
     out[0, 0] = out[1, 1] = out[2, 2] = params[1]
 
 
+@numba.njit
+def numba_drive(pose, u, dt, params, out, F, G, sigma, noise):  # type: ignore[no-untyped-def]
+    numba_move(pose, u, dt, params, out)
+    numba_motion_jacobians(pose, u, dt, params, F, G)
+    numba_control_noise(u, dt, params, sigma)
+    numba_pose_noise(pose, u, dt, params, noise)
+
+
 class Scooter:
     """Euler unicycle as plain Numba functions."""
 
@@ -829,7 +850,15 @@ class Scooter:
         return np.diag([float(self.params[1])] * 3)
 
 
-@pytest.mark.parametrize("model", [Differential(), Polar(), PositionAndRange(), Mounted(), Scooter()], ids=name)
+class Driven(Scooter):
+    """It says at one blow what it does."""
+
+    functions = Scooter.functions._replace(drive=numba_drive)
+
+
+@pytest.mark.parametrize(
+    "model", [Differential(), Polar(), PositionAndRange(), Mounted(), Watcher(), Scooter(), Driven()], ids=name
+)
 def test_a_model_of_ones_own_passes(model: object) -> None:
     check_model(model)
 
@@ -1212,6 +1241,33 @@ class ResidualInPlace(Polar):
     def residual(self, z: Array, z_hat: Array) -> Array:
         z[:] = super().residual(z, z_hat)
         return z
+
+
+@numba.njit
+def numba_still(pose, u, dt, params, out, F, G, sigma, noise):  # type: ignore[no-untyped-def]
+    numba_drive(pose, u, dt, params, out, F, G, sigma, noise)
+    noise[2, 2] = 0.0
+
+
+@breaks("drive is move, jacobians, control_noise and pose_noise")
+class Still(Scooter):
+    functions = Scooter.functions._replace(drive=numba_still)
+
+
+@numba.njit
+def numba_turned(pose, landmark, z, params, z_hat, y, H_pose, H_landmark):  # type: ignore[no-untyped-def]
+    numba_sight(pose, landmark, z, params, z_hat, y, H_pose, H_landmark)
+    numba_residual(z_hat, z, params, y)
+
+
+@breaks("sight is predict, residual and jacobians")
+class Turned(Mounted):
+    functions = Mounted.functions._replace(sight=numba_turned)
+
+
+@breaks("functions.sight raises no error", alone=False)
+class NoSight(Mounted):
+    functions = Mounted.functions._replace(sight=numba_still)
 
 
 @numba.njit

@@ -293,22 +293,29 @@ def no_sight(pose: Any, landmark: Any, z: Any, params: Any, z_hat: Any, y: Any, 
     """Stands where a sensor model offers no function for this; it is never called."""
 
 
+@compiled("void(vector, vector, real, vector, vector, matrix, matrix, matrix, matrix)")
+def no_drive(pose: Any, u: Any, dt: float, params: Any, out: Any, F: Any, G: Any, sigma: Any, noise: Any) -> None:
+    """The same for a motion model."""
+
+
 def models_of(motion: Any, sensor: Any, motion_params: Any, sensor_params: Any, R: Any, *, compiled: bool) -> Models:
     """The models whose functions are these MotionFunctions and SensorFunctions of `slamkit.protocols`."""
-    sight = getattr(sensor, "sight", None)
+    drive, sight = getattr(motion, "drive", None), getattr(sensor, "sight", None)
     return Models(
         compiled=compiled,
         move=motion.move,
         motion_jacobians=motion.jacobians,
         control_noise=motion.control_noise,
         pose_noise=motion.pose_noise,
+        drive=drive or no_drive,
+        drives=drive is not None,
         predict=sensor.predict,
         sensor_jacobians=sensor.jacobians,
         residual=sensor.residual,
         invert=sensor.invert,
         inverse_jacobians=sensor.inverse_jacobians,
         sight=sight or no_sight,
-        fused=sight is not None,
+        sights=sight is not None,
         motion_params=motion_params,
         sensor_params=sensor_params,
         R=R,

@@ -292,6 +292,7 @@ STATE_FIELDS = {
     "pose": vector,  # (3,) the pose that the step arrives at
     "F": matrix,  # (3, 3)
     "Q": matrix,  # (3, 3)
+    "before": vector,  # (24,) memory, F and Q before a prediction that may yet be refused
     "G": matrix,  # (3, m)
     "sigma_u": matrix,  # (m, m)
     "at": vector,  # (3 + 2n,) the point at which a scan is linearised
@@ -324,13 +325,15 @@ MODELS_FIELDS = {
     "motion_jacobians": function(vector, vector, real, vector, matrix, matrix),
     "control_noise": function(vector, real, vector, matrix),
     "pose_noise": function(vector, vector, real, vector, matrix),
+    "drive": function(vector, vector, real, vector, vector, matrix, matrix, matrix, matrix),
+    "drives": flag,  # whether `drive` is the model's own, else it means nothing
     "predict": function(vector, vector, vector, vector),
     "sensor_jacobians": function(vector, vector, vector, matrix, matrix),
     "residual": function(vector, vector, vector, vector),
     "invert": function(vector, vector, vector, vector),
     "inverse_jacobians": function(vector, vector, vector, matrix, matrix),
     "sight": function(vector, vector, vector, vector, vector, vector, matrix, matrix),
-    "fused": flag,  # whether `sight` is the model's own, else it means nothing
+    "sights": flag,  # likewise of `sight`
     "motion_params": vector,
     "sensor_params": vector,
     "R": matrix,

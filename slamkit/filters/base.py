@@ -705,10 +705,9 @@ class LandmarkFilter:
                 validate(z)
             except InputError as error:
                 return InputError(f"{error}{where}")
-        pose = self.pose
-        if not (np.all(np.isfinite(state.pose)) and np.all(np.isfinite(state.F)) and np.all(np.isfinite(state.Q))):
+        if status == steps.BAD_MOTION:
             name = type(self.motion).__name__
-            return ModelError(f"{name} gave a pose, F or Q that is not finite for u = {u} at pose {pose}{where}")
+            return ModelError(f"{name} gave a pose, F or Q that is not finite for u = {u} at pose {self.pose}{where}")
         n = int(state.size[FAILING])
         if status == steps.BAD_SIGHTING:
             i, name = ids[n], type(self.sensor).__name__

@@ -11,10 +11,23 @@ from slamkit.se2 import wrap_angle
 @compiled("void(models, state, vector, vector, real)", generic=True)
 def motion_noise(models: Any, state: Any, pose: Any, u: Any, dt: float) -> None:
     """Q ← G Σ_u Gᵀ + pose noise, with G already in the state."""
+    models.control_noise(u, dt, models.motion_params, state.sigma_u)
+    models.pose_noise(pose, u, dt, models.motion_params, state.Q)
+    add_control_noise(state)
+
+
+@compiled("void(state)")
+def add_control_noise(state: Any) -> None:
+    """Q ← Q + G Σ_u Gᵀ."""
     G, sigma, Q = state.G, state.sigma_u, state.Q
     m = G.shape[1]
-    models.control_noise(u, dt, models.motion_params, sigma)
-    models.pose_noise(pose, u, dt, models.motion_params, Q)
+    if m == 2:
+        for i in range(3):
+            a = G[i, 0] * sigma[0, 0] + G[i, 1] * sigma[1, 0]
+            b = G[i, 0] * sigma[0, 1] + G[i, 1] * sigma[1, 1]
+            for j in range(3):
+                Q[i, j] += a * G[j, 0] + b * G[j, 1]
+        return
     for i in range(3):
         for b in range(m):
             s = 0.0
@@ -27,11 +40,15 @@ def motion_noise(models: Any, state: Any, pose: Any, u: Any, dt: float) -> None:
 @compiled("void(models, state, vector, real)", generic=True)
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """Linearise the motion at the current estimate."""
-    pose = state.mean[:3]
-    models.move(pose, u, dt, models.motion_params, state.pose)
+    pose, params = state.mean[:3], models.motion_params
+    if models.drives:
+        models.drive(pose, u, dt, params, state.pose, state.F, state.G, state.sigma_u, state.Q)
+        add_control_noise(state)
+    else:
+        models.move(pose, u, dt, params, state.pose)
+        models.motion_jacobians(pose, u, dt, params, state.F, state.G)
+        motion_noise(models, state, pose, u, dt)
     state.pose[2] = wrap_angle(state.pose[2])
-    models.motion_jacobians(pose, u, dt, models.motion_params, state.F, state.G)
-    motion_noise(models, state, pose, u, dt)
 
 
 @compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
@@ -40,7 +57,7 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     k = z.shape[0]
     y, H_pose, H_landmark = part(state.y, row, k), part(state.H_pose, row, k), part(state.H_landmark, row, k)
     params, z_hat = models.sensor_params, state.z_hat
-    if models.fused:
+    if models.sights:
         models.sight(pose, landmark, z, params, z_hat, y, H_pose, H_landmark)
     else:
         models.predict(pose, landmark, params, z_hat)

@@ -398,6 +398,31 @@ def finite_motion(state: Any) -> bool:
     return isfinite(total)
 
 
+@compiled("void(state)")
+def remember(state: Any) -> None:
+    """Keep what a prediction is about to write besides its pose."""
+    before, memory, F, Q = state.before, state.memory, state.F, state.Q
+    for i in range(6):
+        before[i] = memory[i]
+    for i in range(3):
+        for j in range(3):
+            before[6 + 3 * i + j], before[15 + 3 * i + j] = F[i, j], Q[i, j]
+
+
+@compiled("index(state, integers, real, index)")
+def refuse_step(state: Any, slots: Any, dt: float, status: int) -> int:
+    """Give back the caller's slots, and what `remember` has kept where there was a prediction; the status."""
+    before, memory, F, Q = state.before, state.memory, state.F, state.Q
+    rename(state, slots)
+    if dt > 0.0:
+        for i in range(6):
+            memory[i] = before[i]
+        for i in range(3):
+            for j in range(3):
+                F[i, j], Q[i, j] = before[6 + 3 * i + j], before[15 + 3 * i + j]
+    return status
+
+
 @compiled("index(policy, models, state, integers, matrix, real)", generic=True)
 def advance_and_take(policy: Any, models: Any, state: Any, slots: Any, z: Any, dt: float) -> Any:
     """Carry out a prediction that is prepared, unless dt is 0, and take the scan."""
@@ -417,17 +442,17 @@ def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z:
     if not awaken(state, slots):
         return FULL
     if dt > 0.0:
+        remember(state)
         policy.motion(models, state, u, dt)
         if not finite_motion(state):
-            rename(state, slots)
-            return BAD_MOTION
+            return refuse_step(state, slots, dt, BAD_MOTION)
     else:
         for i in range(3):
             state.pose[i] = state.mean[i]
     size, D = state.size, state.size[ACTIVE]
     before = size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN]
     size[ODD] = 0
-    if size[COLUMNS] == 0 and state.mean.shape[0] <= SMALL and size[ROWS] <= 2 and models.fused and not policy.batch:
+    if size[COLUMNS] == 0 and state.mean.shape[0] <= SMALL and size[ROWS] <= 2 and models.sights and not policy.batch:
         # To save so little is cheaper than to ask every sighting first; only where one fails they are asked after all.
         save(state)
         status = advance_and_take(policy, models, state, slots, z, dt)
@@ -441,8 +466,7 @@ def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z:
     bad = first_bad(models, state, slots, z)
     if bad >= 0:
         size[FAILING] = bad
-        rename(state, slots)
-        return BAD_SIGHTING
+        return refuse_step(state, slots, dt, BAD_SIGHTING)
     status = advance_and_take(policy, models, state, slots, z, dt)
     rename(state, slots)
     return upkeep(state, slots.shape[0]) if status == OK else status
