@@ -933,8 +933,8 @@ def _write_texts(folder: Path, texts: Mapping[str, str]) -> None:
 
 def _distinct(values: Array) -> Array:
     """Each value of a sorted array once."""
-    changes = np.append(True, values[1:] != values[:-1])[: len(values)]
-    return np.asarray(values[changes])
+    changes = np.flatnonzero(values[1:] != values[:-1]) + 1
+    return np.concatenate([values[:1], values[changes]])
 
 
 def _nth_in_run(*columns: Array | IntArray) -> IntArray:
