@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from math import isqrt
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -474,7 +475,7 @@ class Belief:
             self._keep_gain(V[:whole])
             moved, cross = V[:whole] @ s.theta[:C], V[:whole] @ s.Phi[:D, :C].T
             V[owner] = 0.0
-            V = V @ _half(s, C).T
+            V = V @ _half(s, C)[0].T
             # What may want for memory is done; from here on the belief changes.
             s.rest[:whole] += moved
             kernels.deposit(s, cross)
@@ -506,21 +507,20 @@ class Belief:
         target = square if not square.lent else self._another_square()
         M = np.empty((C, n))
         kernels.collect_rows(s, M)
-        B = _half(s, C)
-        rank = -(-len(B) // UNROLLED) * UNROLLED
         added = np.empty(BASE + self.active - C, dtype=np.int64)
-        X = np.zeros((rank + 1 + len(added) + rows, C))
-        X[: len(B)] = B
+        X, rank = _half(s, C, 1 + len(added) + rows)
         kernels.factors(s, rank, X, added)
         W, V, gain = X @ M, target.room(n * rank), np.empty((rows, self.dim))
         # What may want for memory is done; from here on the belief changes.
         if rows:
             self._whole_w = gain  # not asked for before it is filled
-        if target is square:
-            kernels.flush_square(s, target.store, True, W, V, added, gain)
+        same = target is square
+        cached = 8 * n * square.lead * (1 if same else 2) <= _cache()
+        if same:
+            kernels.flush_square(s, target.store, same, cached, W, V, added, gain)
             return
         with _undisturbed():
-            kernels.flush_square(s, target.store, False, W, V, added, gain)
+            kernels.flush_square(s, target.store, same, cached, W, V, added, gain)
             self._squares = [target, square]
             s.replace(store=target.store)
 
@@ -881,20 +881,28 @@ def _machine_memory() -> float:
     return 0.8 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
+@cache
+def _cache() -> float:
+    """Half of the machine's largest cache [bytes], 0 where the system (other than Linux) does not say."""
+    sizes = [path.read_text().strip() for path in Path("/sys/devices/system/cpu/cpu0/cache").glob("index*/size")]
+    return 512.0 * max((int(size[:-1]) for size in sizes if size[:-1].isdecimal() and size[-1] == "K"), default=0)
+
+
 def _vectors(n: int) -> int:
     """The least multiple of four ≥ n: compiled code works on whole vectors of four numbers."""
     return -(-n // 4) * 4
 
 
-def _half(state: State, C: int) -> Array:
-    """B (r, C) with BᵀB = Ψ (C, C), r its rank."""
+def _half(state: State, C: int, further: int = 0) -> tuple[Array, int]:
+    """B (r, C) with BᵀB = Ψ (C, C) over further rows of zeros, and r, a multiple of UNROLLED no less than Ψ's rank."""
     A, scale = np.empty((C, C)), np.empty(C)
     kernels.scaled(state, A, scale)
-    L, order, rank, _ = dpstrf(A, lower=1)
-    order -= 1
-    B = np.zeros((rank, C))
-    B[:, order] = L.T[:rank] * scale[order]
-    return B
+    # LAPACK sees the transpose, in its own order, and works in place.
+    _, order, rank, _ = dpstrf(A.T, lower=0, overwrite_a=1)
+    padded = -(-rank // UNROLLED) * UNROLLED
+    B = np.zeros((padded + further, C))
+    kernels.unscaled(A, rank, order.astype(np.int64), scale, B)
+    return B, padded
 
 
 def _packed(dim: int) -> int:

@@ -60,6 +60,7 @@ __all__ = [
     "shear",
     "squeeze",
     "undo",
+    "unscaled",
     "whiten",
 ]
 
@@ -73,7 +74,9 @@ PANEL = 64
 copy_fours, project_four, project_first_four = intrinsics("vectors", "copy_fours", "project_four", "project_first_four")
 
 #: TILE rows and columns at a time, of a rank that is a multiple of UNROLLED.
-subtract_tile, subtract_tile_into = intrinsics("vectors", "subtract_tile", "subtract_tile_into")
+subtract_tile, subtract_tile_into, subtract_tile_cached = intrinsics(
+    "vectors", "subtract_tile", "subtract_tile_into", "subtract_tile_cached"
+)
 
 #: A belief with room for no more than this is saved before a step, not asked beforehand whether the step will work.
 SMALL = 48
@@ -644,6 +647,15 @@ def scaled(state: Any, A: Any, scale: Any) -> None:
             A[i, j] = -Psi[i, j] / divisor if j <= i and divisor > 0.0 else 0.0
 
 
+@compiled("void(matrix, index, integers, vector, matrix)")
+def unscaled(L: Any, rank: int, order: Any, scale: Any, B: Any) -> None:
+    """First `rank` rows of B with BᵀB = Ψ from L Lᵀ = A with A's rows and columns in this order, counted from 1."""
+    for i in range(L.shape[0]):
+        c = order[i] - 1
+        for k in range(min(i + 1, rank)):
+            B[k, c] = L[i, k] * scale[c]
+
+
 @compiled("void(state, index, matrix, integers)")
 def factors(state: Any, rank: int, X: Any, added: Any) -> None:
     """Rows of X that M = P⁰[A₀, b] is to be multiplied by for all that a flush of b needs.
@@ -679,18 +691,21 @@ def tile(W: Any, rank: int, V: Any) -> None:
                 V[at + i] = row[first + i]
 
 
-@compiled("void(vector, vector, flag, index, vector, index)")
-def downdate_square(source: Any, target: Any, same: bool, lead: int, V: Any, n: int) -> None:
+@compiled("void(vector, vector, flag, flag, index, vector, index)")
+def downdate_square(source: Any, target: Any, same: bool, cached: bool, lead: int, V: Any, n: int) -> None:
     """First n rows and columns of a square store: target ← source - V Vᵀ, both triangles; they may be the `same`.
 
-    n and `lead` are multiples of TILE. A band of rows is taken column by column, so that what is written beyond the
-    diagonal is whole cache lines that follow each other.
+    `cached` says that the caches hold all of it. n and `lead` are multiples of TILE. A band of rows is taken column by
+    column, so that what is written beyond the diagonal is whole cache lines that follow each other.
     """
     rank = V.shape[0] // n
     for first in range(0, n, 256):
         last = min(first + 256, n)
         for j in range(0, last, TILE):
-            if same:
+            if cached:
+                for i in range(max(first, j), last, TILE):
+                    subtract_tile_cached(source, target, lead, i, j, V, rank)
+            elif same:
                 for i in range(max(first, j), last, TILE):
                     subtract_tile(source, target, lead, i, j, V, rank)
             else:
@@ -698,18 +713,18 @@ def downdate_square(source: Any, target: Any, same: bool, lead: int, V: Any, n: 
                     subtract_tile_into(source, target, lead, i, j, V, rank)
 
 
-@compiled("void(state, vector, flag, matrix, vector, integers, matrix)")
-def flush_square(state: Any, target: Any, same: bool, W: Any, V: Any, added: Any, gain: Any) -> None:
-    """A flush of a square store into `target`, which may be the `same`; W = X P⁰[A₀, :], X and `added` of `factors`.
+@compiled("void(state, vector, flag, flag, matrix, vector, integers, matrix)")
+def flush_square(state: Any, target: Any, same: bool, cached: bool, W: Any, V: Any, added: Any, gain: Any) -> None:
+    """A flush of a square store into `target`, as `downdate_square` does it.
 
-    V is room for the tiles of the first rows of W. `gain` becomes L⁻¹ H P (rows, D) of the last update, where that
-    was made of what is active.
+    W = X P⁰[A₀, :], X and `added` of `factors`. V is room for the tiles of the first rows of W. `gain` becomes
+    L⁻¹ H P (rows, D) of the last update, where that was made of what is active.
     """
     size, cov, rest, owner = state.size, state.cov, state.rest, state.owner
     D, whole, lead, n = size[ACTIVE], size[WHOLE], size[LEAD], W.shape[1]
     at = V.shape[0] // n
     tile(W, at, V)
-    downdate_square(state.store, target, same, lead, V, n)
+    downdate_square(state.store, target, same, cached, lead, V, n)
     row = W[at]
     for j in range(whole):
         rest[j] += row[j]

@@ -957,10 +957,11 @@ def test_squeezing_takes_two_rows_out(n: int, seed: int, data: st.DataObject) ->
     assert np.array_equal(out, np.delete(np.delete(P, gone, 0), gone, 1))
 
 
+@pytest.mark.parametrize("cached", [True, False])
 @pytest.mark.parametrize("same_place", [True, False])
 @given(n=st.integers(1, 40).map(lambda t: TILE * t), rank=st.sampled_from([0, 4, 8, 20]), seed=seeds)
 @settings(max_examples=15)
-def test_both_triangles_are_corrected(same_place: bool, n: int, rank: int, seed: int) -> None:
+def test_both_triangles_are_corrected(same_place: bool, cached: bool, n: int, rank: int, seed: int) -> None:
     """In bands and tiles, beside the diagonal and on it; P and nothing else, symmetric to the bit."""
     rng = np.random.default_rng(seed)
     source, target = Square(-(-n // PANEL) * PANEL), Square(-(-n // PANEL) * PANEL)
@@ -971,7 +972,7 @@ def test_both_triangles_are_corrected(same_place: bool, n: int, rank: int, seed:
     into = source if same_place else target
     V = aligned(n * rank)
     kernels.tile(W, rank, V)
-    kernels.downdate_square(source.store, into.store, same_place, source.lead, V, n)
+    kernels.downdate_square(source.store, into.store, same_place, cached, source.lead, V, n)
     out = into.store.reshape(-1, into.lead)
     close(out[:n, :n], P - W[:rank].T @ W[:rank], 1e-13)
     assert np.array_equal(out[:n, :n], out[:n, :n].T)

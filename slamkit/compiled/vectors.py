@@ -148,8 +148,8 @@ project_first_four = _project_four(pose=True)
 TOGETHER = TILE if get_host_cpu_features().get("avx512f") else TILE // 2
 
 
-def _subtract_tile(elsewhere: bool) -> Any:
-    """An intrinsic that leaves its result in place, or elsewhere."""
+def _subtract_tile(tile_past: bool, transpose_past: bool) -> Any:
+    """An intrinsic that writes its tile, and the transpose, past the caches or into them."""
 
     @intrinsic
     def subtract(typing: Any, source: Any, target: Any, lead: Any, i: Any, j: Any, V: Any, rank: Any) -> Any:
@@ -202,8 +202,7 @@ def _subtract_tile(elsewhere: bool) -> Any:
                         product = builder.fmul(shuffled(lane, lane, [0] * TILE), across, flags=("contract",))
                         builder.store(builder.fadd(product, builder.load(sums[r]), flags=("contract",)), sums[r])
         rows = [builder.load(held) for held in sums]
-        # What is not in the caches yet need not be read before it is written.
-        store(rows, i, j, elsewhere)
+        store(rows, i, j, tile_past)
         with builder.if_then(builder.icmp_signed("!=", i, j)):
             # The transpose: single entries change places, then pairs, then halves.
             for width in (1, 2, 4):
@@ -211,7 +210,7 @@ def _subtract_tile(elsewhere: bool) -> Any:
                     a, b = rows[r], rows[r + width]
                     rows[r] = shuffled(a, b, [k - width + TILE if k & width else k for k in range(TILE)])
                     rows[r + width] = shuffled(a, b, [k + TILE if k & width else k + width for k in range(TILE)])
-            store(rows, j, i, True)
+            store(rows, j, i, transpose_past)
         return context.get_dummy_value()
 
     return subtract
@@ -219,7 +218,10 @@ def _subtract_tile(elsewhere: bool) -> Any:
 
 #: ``(source, target, lead, i, j, V, rank)``: target ← source - V Vᵀ in one tile and its transpose beyond the diagonal.
 #: `source` and `target`, the same memory here, hold matrices row after row, `lead` entries apart, and their tiles start
-#: at multiples of 64 bytes. V has its rows in tiles: TILE rows, column after column, then the next TILE.
-subtract_tile = _subtract_tile(elsewhere=False)
+#: at multiples of 64 bytes. V has its rows in tiles: TILE rows, column after column, then the next TILE. Of more than
+#: the caches hold, what is not there yet need not be read before it is written: that goes past them.
+subtract_tile = _subtract_tile(tile_past=False, transpose_past=True)
 #: The same where `target` is other memory than `source`.
-subtract_tile_into = _subtract_tile(elsewhere=True)
+subtract_tile_into = _subtract_tile(tile_past=True, transpose_past=True)
+#: Either where the caches hold all of it.
+subtract_tile_cached = _subtract_tile(tile_past=False, transpose_past=False)
