@@ -52,6 +52,8 @@ PANEL = kernels.PANEL
 
 #: What a multiply-add of a flush costs beside one of a small update, and what a flush costs besides, in the latter.
 FLUSH_RATE, FLUSH_START = 0.4, 1e6
+#: Rows of L⁻¹ H Φ that are kept as they come: they are a root of Ψ, for who reads P after every few steps.
+FEW = 32
 
 
 @dataclass(frozen=True)
@@ -154,6 +156,7 @@ class Belief:
         kept |= {
             "F": np.eye(BASE),
             "memory": np.zeros(6),
+            "count": np.zeros(1, dtype=np.int64),
             "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0, 0, 0], dtype=np.int64),
         }
         kept |= {"owner": np.arange(b), "local": np.arange(b), "work": self._terms()}
@@ -194,6 +197,8 @@ class Belief:
             minus_Psi=copied("minus_Psi", (columns, columns)),
             theta=copied("theta", (columns,)),
             g=copied("g", (rows, columns)),
+            few=copied("few", (FEW, columns)),
+            count=kept["count"],
             columns=copied("columns", (columns,)) if "columns" in kept else aligned(columns, np.int64),
             owner=copied("owner", (capacity,)),
             local=copied("local", (whole,), fill=-1),
@@ -830,7 +835,10 @@ class Belief:
         if self.base + BLOCK * len(self.slots) != whole or not (resting or (C == 0 and whole == D)):
             raise ValueError(f"{len(self.slots)} landmark ids and a state of {whole}")
         self._whole_w, size[ACTIVE_THEN] = np.array(arrays["w"], dtype=float), -1
-        kept: dict[str, Any] = {n: np.array(v) for n, v in arrays.items() if n != "w"} | {"size": size}
+        kept: dict[str, Any] = {n: np.array(v) for n, v in arrays.items() if n != "w"} | {
+            "size": size,
+            "count": np.zeros(1, dtype=np.int64),
+        }
         local = np.full(whole, -1, dtype=np.int64)
         local[:D] = kept["owner"] = np.arange(D)
         if C:
@@ -895,6 +903,12 @@ def _vectors(n: int) -> int:
 
 def _half(state: State, C: int, further: int = 0) -> tuple[Array, int]:
     """B (r, C) with BᵀB = Ψ (C, C) over further rows of zeros, and r, a multiple of UNROLLED no less than Ψ's rank."""
+    count = int(state.count[0])
+    if 0 <= count <= C:
+        padded = -(-count // UNROLLED) * UNROLLED
+        B = np.zeros((padded + further, C))
+        B[:count] = state.few[:count, :C]
+        return B, padded
     A, scale = np.empty((C, C)), np.empty(C)
     kernels.scaled(state, A, scale)
     # LAPACK sees the transpose, in its own order, and works in place.

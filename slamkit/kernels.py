@@ -393,6 +393,15 @@ def record(state: Any, n: int, k: int) -> None:
             for i in range(C):
                 out[i] *= inverse
                 theta[i] += t * out[i]
+    few, count = state.few, state.count
+    if count[0] + n * k > few.shape[0]:
+        count[0] = -1
+    if count[0] >= 0:
+        for r in range(n * k):
+            row, out = g[r], few[count[0] + r]
+            for i in range(few.shape[1]):
+                out[i] = row[i] if i < C else 0.0
+        count[0] += n * k
     for r in range(0, n * k, 2):
         # An odd last row goes with a row of zeros.
         last = r + 1 == n * k
@@ -770,7 +779,7 @@ def keep_base(state: Any) -> None:
             Phi[i, j], Psi[i, j] = 0.0, 0.0
         Phi[i, i] = 1.0
     size[ACTIVE] = size[COLUMNS] = 3
-    state.work[0] = 0.0
+    state.work[0], state.count[0] = 0.0, 0
 
 
 @compiled("void(matrix, index, vector)")

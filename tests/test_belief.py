@@ -21,8 +21,20 @@ from hypothesis import strategies as st
 from scipy.linalg.blas import dgemm
 
 from slamkit import InputError, Log, Scan, World, belief, kernels
-from slamkit.belief import BASE, BLOCK, PANEL, Belief, Storage
-from slamkit.compiled import ACTIVE, ACTIVE_THEN, CORRECTED, LEAD, ROWS, TILE, WHOLE, WHOLE_THEN, aligned
+from slamkit.belief import BASE, BLOCK, PANEL, Belief, Storage, _half
+from slamkit.compiled import (
+    ACTIVE,
+    ACTIVE_THEN,
+    COLUMNS,
+    CORRECTED,
+    LEAD,
+    ROWS,
+    TILE,
+    UNROLLED,
+    WHOLE,
+    WHOLE_THEN,
+    aligned,
+)
 from slamkit.errors import DivergenceError, MemoryCapError
 from slamkit.filters import steps
 from slamkit.gauge import null_directions, nullity
@@ -733,7 +745,7 @@ def test_every_array_starts_a_cache_line(landmarks: int) -> None:
     f = grown("ekf", UNCOMPRESSED, landmarks)
     for g in (f, copy.deepcopy(f)):
         fields = g._belief.state.fields
-        own = [n for n in fields if fields[n].size and n not in ("size", "work", "memory")]
+        own = [n for n in fields if fields[n].size and n not in ("size", "work", "memory", "count")]
         assert [n for n in own if fields[n].ctypes.data % 64] == []
         assert not [n for n in own if np.shares_memory(fields[n], f._belief.state.fields[n])] or g is f
     assert g.P.tobytes() == f.P.tobytes()
@@ -955,6 +967,25 @@ def test_squeezing_takes_two_rows_out(n: int, seed: int, data: st.DataObject) ->
     kernels.expand(store, out)
     gone = [slot, slot + 1]
     assert np.array_equal(out, np.delete(np.delete(P, gone, 0), gone, 1))
+
+
+@every_compressing
+def test_a_root_of_psi_is_kept_while_it_is_short(name: str) -> None:
+    """The rows that were added to Ψ, and once they are too many a decomposition; a flush begins anew."""
+    f = grown(name)
+    seen = set()
+    for step in part(survey()[1], 200, 240):
+        b, C = f._belief, f._belief.state.size[COLUMNS]
+        count = int(b.state.count[0])
+        B, rank = _half(b.state, C, 1)
+        close(B.T @ B, b._Psi, 1e-12)
+        assert B.shape == (rank + 1, C) and rank % UNROLLED == 0 and not B[-1].any()
+        seen.add("none" if count == 0 else "too many" if count < 0 else "longer than Ψ" if count > C else "short")
+        take(f, step)
+        if len(seen) >= 3 and "too many" in seen:
+            f.flush()
+            assert f._belief.state.count[0] == 0
+    assert {"none", "short", "too many"} <= seen
 
 
 @pytest.mark.parametrize("cached", [True, False])

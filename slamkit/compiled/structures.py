@@ -282,6 +282,8 @@ STATE_FIELDS = {
     "minus_Psi": matrix,  # (columns, columns) lower triangle of -Ψ
     "theta": vector,  # (columns,) ϑ
     "g": matrix,  # (rows, columns) L⁻¹ H Φ
+    "few": matrix,  # (rows, columns) g of the updates since the last flush, while there is room
+    "count": integers,  # (1,) how many rows, or -1: there are more
     "columns": integers,  # (columns,) A₀ as coordinates of the whole map
     "owner": integers,  # (capacity,) active coordinate → coordinate of the whole map
     "local": integers,  # (room,) coordinate of the whole map → active coordinate, or -1 where it rests
