@@ -970,22 +970,36 @@ def test_squeezing_takes_two_rows_out(n: int, seed: int, data: st.DataObject) ->
 
 
 @every_compressing
-def test_a_root_of_psi_is_kept_while_it_is_short(name: str) -> None:
+@pytest.mark.parametrize("together", [True, False])
+def test_a_root_of_psi_is_kept_while_it_is_short(name: str, together: bool) -> None:
     """The rows that were added to Ψ, and once they are too many a decomposition; a flush begins anew."""
     f = grown(name)
     seen = set()
-    for step in part(survey()[1], 200, 240):
+
+    def look() -> None:
         b, C = f._belief, f._belief.state.size[COLUMNS]
         count = int(b.state.count[0])
         B, rank = _half(b.state, C, 1)
         close(B.T @ B, b._Psi, 1e-12)
         assert B.shape == (rank + 1, C) and rank % UNROLLED == 0 and not B[-1].any()
         seen.add("none" if count == 0 else "too many" if count < 0 else "longer than Ψ" if count > C else "short")
-        take(f, step)
-        if len(seen) >= 3 and "too many" in seen:
-            f.flush()
-            assert f._belief.state.count[0] == 0
+
+    look()
+    for step in part(survey()[1], 200, 240):
+        f.flush()
+        look()
+        scan = dict(zip(step.scan.ids, step.scan.z, strict=True))
+        f.step(step.u, step.dt, scan if together else {})
+        look()
+        if together:
+            f.observe_scan(scan)
+            look()
+        else:
+            for i, z in scan.items():
+                f.observe(i, z)
+                look()
     assert {"none", "short", "too many"} <= seen
+    assert ("longer than Ψ" in seen) == together
 
 
 @pytest.mark.parametrize("cached", [True, False])
