@@ -33,7 +33,12 @@ from slamkit.compiled import (
     COLUMNS,
     CORRECTED,
     LEAD,
+    LIMIT,
+    MOST,
     ROWS,
+    SPENT,
+    SPENT_PLAIN,
+    STAYS,
     TILE,
     UNROLLED,
     WHOLE,
@@ -52,6 +57,11 @@ PANEL = kernels.PANEL
 
 #: What a multiply-add of a flush costs beside one of a small update, and what a flush costs besides, in the latter.
 FLUSH_RATE, FLUSH_START = 0.4, 1e6
+#: Landmarks above which a filter postpones corrections unless it is told otherwise.
+COMPRESS_ABOVE = 64
+#: Steps for which a filter that postponing does not suit does without, before it tries again; and how many of them a
+#: copy of P takes away, which is cheaper to read from a filter that postpones.
+STAY, READ = 1000.0, 20.0
 #: Rows of L⁻¹ H Φ that are kept as they come: they are a root of Ψ, for who reads P after every few steps.
 FEW = 32
 
@@ -62,9 +72,10 @@ class Storage:
 
     Parameters
     ----------
-    compress_above : int
-        Landmarks above which corrections of what is not in sight are postponed to a flush. A variant whose every
-        update moves every landmark never postpones.
+    compress_above : int, optional
+        Landmarks above which corrections of what is not in sight are postponed to a flush. None: above 64, unless
+        that turns out not to pay, for nearly all of a small map is sighted all the time. A variant whose every update
+        moves every landmark never postpones.
     flush_work : float, optional
         Multiply-adds that one step may spend on a flush, which is then spread over as many steps as it needs; None
         does it whole, at once. A core does some 10 to 40 multiply-adds in a nanosecond.
@@ -77,7 +88,7 @@ class Storage:
         A number is not positive.
     """
 
-    compress_above: int = 64
+    compress_above: int | None = None
     flush_work: float | None = None
     memory_cap: float | None = None
 
@@ -85,8 +96,13 @@ class Storage:
         for name, value in (("flush_work", self.flush_work), ("memory_cap", self.memory_cap)):
             if value is not None and not value > 0:
                 raise InputError(f"{name} is {value!r}, expected None or a number > 0")
-        if not self.compress_above >= 0:
-            raise InputError(f"compress_above is {self.compress_above!r}, expected a number of landmarks ≥ 0")
+        if self.compress_above is not None and not self.compress_above >= 0:
+            raise InputError(f"compress_above is {self.compress_above!r}, expected None or a number of landmarks ≥ 0")
+
+    @property
+    def limit(self) -> int:
+        """Landmarks above which corrections are postponed."""
+        return COMPRESS_ABOVE if self.compress_above is None else self.compress_above
 
     @property
     def cap(self) -> float:
@@ -160,13 +176,13 @@ class Belief:
             "size": np.array([b, 0, 0, 0, 0, 0, b, 0, 0, 0, 0], dtype=np.int64),
         }
         kept |= {"owner": np.arange(b), "local": np.arange(b), "work": self._terms()}
-        room = b + BLOCK * int(min(8, self.storage.compress_above))
+        room = b + BLOCK * int(min(8, self.storage.limit))
         self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, whole=room)
 
     def _terms(self) -> Array:
-        """Debt, price of a flush per D² and besides, most columns, size from which the belief compresses."""
-        above = self.storage.compress_above
-        return np.array([0.0, FLUSH_RATE / 2, FLUSH_START, np.inf, self.base + BLOCK * above])
+        """What `slamkit.filters.steps.upkeep` goes by."""
+        limit = self.base + BLOCK * self.storage.limit
+        return np.array([0.0, FLUSH_RATE / 2, FLUSH_START, np.inf, limit, 0.0, 0.0, 0.0])
 
     def _lay_out(self, kept: dict[str, Any], capacity: int, sightings: int, columns: int, whole: int) -> None:
         """Arrays of the given capacities that hold what is kept."""
@@ -303,6 +319,7 @@ class Belief:
             return self._squares[0].lend(D)
         self.storage.afford(8 * D * D, f"P of {len(self.slots)} landmarks")
         if not self.compressed:
+            s.work[STAYS] = max(0.0, s.work[STAYS] - READ)
             lower: Array = np.tril(s.cov[:D, :D])
             return lower + np.tril(lower, -1).T
         self._reads += self.active > BASE
@@ -370,7 +387,7 @@ class Belief:
 
     def _room(self, whole: int) -> int:
         """Coordinates of the map to make room for, so that a map that is to be compressed can be stored, too."""
-        have, limit = len(self.state.local), self.state.work[4]
+        have, limit = len(self.state.local), self.state.work[LIMIT]
         if whole <= have:
             return have
         if whole <= limit:
@@ -391,10 +408,38 @@ class Belief:
                 self._correct_rows(self.storage.flush_work)
             else:
                 self._pack()
-                self._reads = 0
+                self._reads, plain = 0, self._plain_is_cheaper
                 self._begin_flush()
                 if self.storage.flush_work is None:
                     self._correct_rows(None)
+                if plain:
+                    self._unfold()
+
+    @property
+    def _plain_is_cheaper(self) -> bool:
+        """Whether the steps since the last flush and the next one cost more than they do where nothing rests.
+
+        Counted in multiply-adds, which cost the same as long as the caches hold P. A flush of a small map is products
+        of small matrices, with as many multiply-adds again for gathering and writing.
+        """
+        s, C, whole = self.state, int(self.state.size[COLUMNS]), self.dim
+        own_choice = self.storage.compress_above is None and self.storage.flush_work is None
+        if C == 0 or not own_choice or 8 * whole**2 > _cache():
+            return False
+        flush = C * whole * (whole / 2 + 3 * C) + 3 * FLUSH_START
+        return bool(s.work[SPENT] + flush > s.work[SPENT_PLAIN])
+
+    def _unfold(self) -> None:
+        """After a flush make everything active, in the order of the map, and let it be so for a while."""
+        whole, s = self.dim, self.state
+        P, size = np.empty((whole, whole)), s.size.copy()
+        kernels.expand(s.store, P)
+        size[ACTIVE], size[COLUMNS], size[CORRECTED] = whole, 0, 0
+        kept = {n: v for n, v in s.fields.items() if n not in ("rest", "rest_points", "store", "V")}
+        kept |= {"size": size, "cov": P, "mean": s.rest[:whole], "points": s.rest_points[:whole]}
+        kept |= {"owner": np.arange(whole), "local": np.r_[:whole, s.local[whole:]]}
+        self._lay_out(kept, whole, len(s.nis), columns=0, whole=len(s.local))
+        self.state.work[STAYS] = STAY
 
     def flush(self) -> None:
         """Bring everything that rests up to date; then only the base is active. Nothing where nothing rests."""
@@ -502,7 +547,7 @@ class Belief:
         kernels.keep_base(s)
         if self.storage.flush_work is not None:
             # So that the beginning of the next flush is within the work of a step as well.
-            s.work[3] = max(4 * BASE, np.sqrt(self.storage.flush_work / (6 * self.dim)))
+            s.work[MOST] = max(4 * BASE, np.sqrt(self.storage.flush_work / (6 * self.dim)))
 
     def _flush_square(self) -> None:
         """A flush of a square store, at once, both triangles: into the same memory, or into other if that is lent."""
@@ -891,9 +936,10 @@ def _machine_memory() -> float:
 
 @cache
 def _cache() -> float:
-    """Half of the machine's largest cache [bytes], 0 where the system (other than Linux) does not say."""
+    """Half of the machine's largest cache [bytes]; a usual one where the system (other than Linux) does not say."""
     sizes = [path.read_text().strip() for path in Path("/sys/devices/system/cpu/cpu0/cache").glob("index*/size")]
-    return 512.0 * max((int(size[:-1]) for size in sizes if size[:-1].isdecimal() and size[-1] == "K"), default=0)
+    found = [int(size[:-1]) for size in sizes if size[:-1].isdecimal() and size[-1] == "K"]
+    return 512.0 * max(found, default=16384)
 
 
 def _vectors(n: int) -> int:

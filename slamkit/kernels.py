@@ -25,7 +25,10 @@ from slamkit.compiled import (
     ACTIVE_THEN,
     COLUMNS,
     CORRECTED,
+    DEBT,
     LEAD,
+    SPENT,
+    SPENT_PLAIN,
     TILE,
     WHOLE,
     WHOLE_THEN,
@@ -779,7 +782,8 @@ def keep_base(state: Any) -> None:
             Phi[i, j], Psi[i, j] = 0.0, 0.0
         Phi[i, i] = 1.0
     size[ACTIVE] = size[COLUMNS] = 3
-    state.work[0], state.count[0] = 0.0, 0
+    state.work[DEBT] = state.work[SPENT] = state.work[SPENT_PLAIN] = 0.0
+    state.count[0] = 0
 
 
 @compiled("void(matrix, index, vector)")

@@ -737,6 +737,70 @@ def test_a_refused_step_in_a_small_map_never_was(name: str, landmarks: int) -> N
     assert np.array_equal(null_directions(f), null_directions(before))
 
 
+# -- where postponing does not pay
+
+
+def mixed(steps: int = 240) -> list[tuple[Any, float, dict[Any, Any]]]:
+    """The survey's steps after a first that sees 100 landmarks; from 60 to 160 a step sees eight from anywhere."""
+    world, log = survey()
+    rng, out = np.random.default_rng(8), []
+    pose, places = log.truth.poses, log.truth.landmarks  # type: ignore[union-attr]
+    known = sorted(places)[:100]
+    for k, step in enumerate(part(log, 0, steps)):
+        scan = {i: z for i, z in zip(step.scan.ids, step.scan.z, strict=True) if i in known}
+        if k == 0 or 60 <= k < 160:
+            chosen = known if k == 0 else rng.choice(known, 8, replace=False).tolist()
+            noise = rng.multivariate_normal(np.zeros(2), world.sensor.R, len(chosen))
+            scan = {i: world.sensor.predict(pose[k + 1], places[i]) + v for i, v in zip(chosen, noise, strict=True)}
+        out.append((step.u, step.dt, scan))
+    return out
+
+
+@every_compressing
+def test_nothing_rests_where_that_is_cheaper(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The filter finds out, tries again after a while, and is the same Gaussian all the time."""
+    monkeypatch.setattr(belief, "STAY", 20.0)
+    f, g = make(name, Storage()), make(name, UNCOMPRESSED)
+    rested = []
+    for k, step in enumerate(mixed()):
+        for h in (f, g):
+            h.step(*step)
+        rested.append(f._belief.compressed)
+        if k == 75:
+            assert not rested[-1] and f._belief.active == f.dim_x
+            f.save(tmp_path / "f.npz")
+            again = type(f).load(tmp_path / "f.npz")
+        if k > 75:
+            again.step(*step)
+        if k % 50 == 7:
+            close(f.x, g.x)
+            close(f.marginal(f.landmark_ids, pose=True)[1], g.P)
+    assert all(rested[:60]) and all(rested[190:])
+    assert sum(rested[60:160]) < 50
+    assert sum(np.diff(np.array(rested[60:160], dtype=int)) > 0) >= 2  # it tried again
+    close(f.P, g.P)
+    assert same(again, f)
+    assert np.array_equal(null_directions(again), null_directions(f))
+
+
+@pytest.mark.parametrize("storage", [Storage(compress_above=64), Storage(flush_work=1e9)])
+def test_who_is_told_when_to_postpone_does(storage: Storage) -> None:
+    f, rested = make("ekf", storage), []
+    for step in mixed(100):
+        f.step(*step)
+        rested.append(f._belief.compressed)
+    assert all(rested)
+
+
+def test_who_reads_all_of_p_at_every_step_may_borrow_it_soon() -> None:
+    f, lent = make("ekf", Storage()), []
+    for k, step in enumerate(mixed(160)):
+        f.step(*step)
+        if k >= 80:
+            lent.append(read(f)[1])
+    assert not any(lent[:40]) and all(lent[60:])
+
+
 # -- memory
 
 

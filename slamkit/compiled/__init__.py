@@ -27,6 +27,9 @@ from numpy.typing import DTypeLike, NDArray
 #: gave no finite numbers; entries from one row of the store to the next, 0 where it is a packed triangle.
 ACTIVE, ROWS, ACTIVE_THEN, FAILING, STATUS, COLUMNS, WHOLE, CORRECTED, WHOLE_THEN, ODD, LEAD = range(11)
 
+#: Entries of ``State.work``, see `slamkit.filters.steps.upkeep`.
+DEBT, PER_SQUARE, START, MOST, LIMIT, SPENT, SPENT_PLAIN, STAYS = range(8)
+
 #: Doubles of a cache line, rows and columns of a tile; terms of a sum that are written out, which divides every rank.
 TILE, UNROLLED = 8, 4
 

@@ -34,10 +34,18 @@ from slamkit.compiled import (
     ACTIVE,
     ACTIVE_THEN,
     COLUMNS,
+    DEBT,
     FAILING,
+    LIMIT,
+    MOST,
     ODD,
+    PER_SQUARE,
     ROWS,
+    SPENT,
+    SPENT_PLAIN,
+    START,
     STATUS,
+    STAYS,
     WHOLE,
     WHOLE_THEN,
     compiled,
@@ -374,16 +382,24 @@ def upkeep(state: Any, n: int) -> int:
 
     A larger active part makes every update dearer; a flush makes it small again, but the base and what is in sight
     will soon be in the next flush too. So a flush pays once the excess since the last has reached the price of that.
-    ``state.work`` holds: the excess [multiply-adds]; the price for each coordinate in sight and D²; a flush's fixed
-    price; the columns at which a flush is due anyway; the dimension above which the belief is compressed.
+    ``state.work`` holds, in multiply-adds: the excess (`DEBT`); the price for each coordinate in sight and D²
+    (`PER_SQUARE`), and a flush's fixed price (`START`); the columns at which a flush is due anyway (`MOST`); the
+    dimension above which the belief is compressed (`LIMIT`); what the updates since the last flush cost (`SPENT`), and
+    would have cost had nothing rested (`SPENT_PLAIN`); for how many steps nothing is to rest (`STAYS`).
     """
     size, work = state.size, state.work
     C = size[COLUMNS]
     if C == 0:
-        return DUE if size[WHOLE] > work[4] else OK
+        if size[WHOLE] <= work[LIMIT]:
+            return OK
+        work[STAYS] -= 1.0
+        return DUE if work[STAYS] < 0.0 else OK
     D, need, whole = float(size[ACTIVE]), 3.0 + 2.0 * n, float(size[WHOLE])
-    work[0] += n * max(0.0, D * D + 2.0 * D * C + C * C - 4.0 * need * need)
-    if state.V.shape[1] > 0 or work[0] > work[1] * need * whole * whole + work[2] or work[3] < C:
+    cost = D * D + 2.0 * D * C + C * C
+    work[SPENT] += n * cost
+    work[SPENT_PLAIN] += n * whole * whole
+    work[DEBT] += n * max(0.0, cost - 4.0 * need * need)
+    if state.V.shape[1] > 0 or work[DEBT] > work[PER_SQUARE] * need * whole * whole + work[START] or work[MOST] < C:
         return DUE
     return OK
 
