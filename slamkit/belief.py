@@ -424,7 +424,7 @@ class Belief:
         """
         s, C, whole = self.state, int(self.state.size[COLUMNS]), self.dim
         own_choice = self.storage.compress_above is None and self.storage.flush_work is None
-        if C == 0 or not own_choice or 8 * whole**2 > _cache():
+        if C == 0 or not own_choice or 8 * whole**2 > min(_cache(), self.storage.cap / 2):
             return False
         flush = C * whole * (whole / 2 + 3 * C) + 3 * FLUSH_START
         return bool(s.work[SPENT] + flush > s.work[SPENT_PLAIN])
