@@ -34,6 +34,24 @@ def twice(v: Any) -> float:
     return scaled_total(v, 2.0)
 
 
+@compiled("real(vector)")
+def last_of_a_copy(v: Any) -> Any:
+    copy = np.empty(v.shape[0])
+    for i in range(v.shape[0]):
+        copy[i] = v[i]
+    return copy[-1]
+
+
+@compiled("real(vector)")
+def more_than_last(v: Any) -> Any:
+    return np.ones(1)[0] + last_of_a_copy(v)
+
+
+def test_functions_of_a_user_may_make_arrays() -> None:
+    assert last_of_a_copy(np.arange(4.0)) == 3.0
+    assert more_than_last(np.arange(4.0)) == 4.0
+
+
 def test_a_fragment_becomes_machine_code_only_where_it_is_called() -> None:
     """This rests on parts of Numba that it does not document: where they change, it fails here."""
     assert scaled_total(np.arange(4.0), 2.0) == 12.0

@@ -65,13 +65,15 @@ class Compiled:
     generic : bool
         True: it calls functions of models or filters, so its Python form calls the Python forms of what it uses.
     allocates : bool
-        True: it makes arrays. In code that makes none nobody counts the references to any.
+        True: it makes arrays, as any function outside of slamkit may. In code that makes none nobody counts the
+        references to any.
     """
 
     def __init__(
         self, function: FunctionType, signature: str, *, generic: bool = False, allocates: bool = False
     ) -> None:
-        self.function, self.signature, self.generic, self.allocates = function, signature, generic, allocates
+        self.function, self.signature, self.generic = function, signature, generic
+        self.allocates = allocates or not function.__module__.startswith("slamkit.")
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
 
     @property
