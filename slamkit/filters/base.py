@@ -643,22 +643,25 @@ class LandmarkFilter:
     def _advance(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
         belief = self._belief
         try:
-            found = [belief.slots.get(i, -1) for i in ids]
+            repeated = len(set(ids)) != len(ids)
         except TypeError as error:
             raise InputError(f"a landmark id of the scan is not hashable: {error}") from None
-        if len(set(ids)) != len(ids):
+        if repeated:
             twice = next(i for n, i in enumerate(ids) if i in ids[:n])
             raise InputError(f"landmark {twice!r} occurs twice in one scan")
-        if len(found) > len(belief.state.nis):
-            belief.reserve(0, len(found))
-        slots = np.array(found, dtype=np.int64)
+        if len(ids) > len(belief.state.nis):
+            belief.reserve(0, len(ids))
+        try:
+            slots, all_known = np.fromiter(map(belief.slots.__getitem__, ids), np.int64, len(ids)), True
+        except KeyError:
+            slots, all_known = np.array([belief.slots.get(i, -1) for i in ids], dtype=np.int64), False
         status = self._take_step(u, dt, slots, z)
         if status == steps.FULL:
             belief.widen(slots)
             status = self._take_step(u, dt, slots, z)
-        if -1 in found and status in (steps.OK, steps.DUE, steps.NOT_DEFINITE):
-            for i, before, slot in zip(ids, found, slots.tolist(), strict=True):
-                if before < 0 <= slot:
+        if not all_known and status in (steps.OK, steps.DUE, steps.NOT_DEFINITE):
+            for i, slot in zip(ids, slots.tolist(), strict=True):
+                if slot >= 0 and i not in belief.slots:
                     belief.register(i, slot)
         if status == steps.DUE:
             belief.tend()
