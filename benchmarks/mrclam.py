@@ -35,12 +35,12 @@ from rich.progress import track
 from rich.table import Table
 
 from slamkit import Log, SlamkitError
-from slamkit.consistency import heading_nees
 from slamkit.datasets import mrclam
+from slamkit.evaluate.consistency import heading_nees
+from slamkit.evaluate.run_report import Assessment, write_json
+from slamkit.evaluate.trajectory import dead_reckoning, evaluate, nearest
 from slamkit.filters import FILTERS
 from slamkit.logs import History
-from slamkit.metrics import dead_reckoning, evaluate, nearest
-from slamkit.summary import Assessment, write_json
 
 Array = NDArray[np.float64]
 

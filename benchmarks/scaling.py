@@ -28,9 +28,9 @@ from contenders import CONTENDERS, ROUNDING, MissingError, contender
 from rich.console import Console
 from rich.table import Table
 
+from slamkit.evaluate.run_report import write_json
 from slamkit.plots import STYLES, Style, save, style
 from slamkit.se2 import wrap
-from slamkit.summary import write_json
 
 SIZES = (3, 10, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 PEER = "C++, one triangle"

@@ -29,7 +29,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slamkit import EKFSLAM, metrics, plots, simulate
+from slamkit import EKFSLAM, plots, simulate
+from slamkit.evaluate import trajectory
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.simulate import loop_world
 
@@ -109,19 +110,19 @@ print(f"sightings in the log: {len(log.observations)}")
 # for every run.
 
 # %%
-times, dead_reckoning = metrics.dead_reckoning(log, world.motion)
+times, dead_reckoning = trajectory.dead_reckoning(log, world.motion)
 ekf = EKFSLAM(world.motion, world.sensor, pose=world.pose, pose_covariance=world.pose_covariance)
 history = ekf.run(log)
 
 # %% [markdown]
 # The `History` holds what the filter said after every step: poses, covariances, innovations, and the final map.
-# `metrics.evaluate` compares it with the truth; RMSE is the root mean square error,
+# `trajectory.evaluate` compares it with the truth; RMSE is the root mean square error,
 #
 #     RMSE = √( mean over all steps of |estimated − true position|² )
 
 # %%
-slam = metrics.evaluate(history.times, history.poses, log.truth, ekf.landmarks, aligned=False)
-lost = metrics.evaluate(times, dead_reckoning, log.truth, aligned=False)
+slam = trajectory.evaluate(history.times, history.poses, log.truth, ekf.landmarks, aligned=False)
+lost = trajectory.evaluate(times, dead_reckoning, log.truth, aligned=False)
 print(f"landmarks in the map: {len(ekf.landmarks)}")
 print(f"dead reckoning, position RMSE: {lost.ate_m:.2f} m")
 print(f"EKF-SLAM, position RMSE: {slam.ate_m:.2f} m")

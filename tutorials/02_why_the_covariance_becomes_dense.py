@@ -26,7 +26,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, Scan, consistency, plots, simulate
+from slamkit import EKFSLAM, Scan, plots, simulate
+from slamkit.evaluate import consistency
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.simulate import loop_world
 

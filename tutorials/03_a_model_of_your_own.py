@@ -34,8 +34,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, InvariantEKFSLAM, ModelError, metrics, plots, simulate
+from slamkit import EKFSLAM, InvariantEKFSLAM, ModelError, plots, simulate
 from slamkit.compiled import compiled
+from slamkit.evaluate import trajectory
 from slamkit.models import check_model
 from slamkit.protocols import MotionFunctions, MotionModel, SensorFunctions, SensorModel
 from slamkit.se2 import wrap
@@ -194,10 +195,10 @@ log = simulate(world, np.random.default_rng(2))
 assert log.truth is not None
 ekf = EKFSLAM(wheels, camera, world.pose, world.pose_covariance)
 history = ekf.run(log)
-dead_reckoning = metrics.dead_reckoning(log, wheels)
+dead_reckoning = trajectory.dead_reckoning(log, wheels)
 
-slam = metrics.evaluate(history.times, history.poses, log.truth, ekf.landmarks, aligned=False)
-lost = metrics.evaluate(*dead_reckoning, log.truth, aligned=False)
+slam = trajectory.evaluate(history.times, history.poses, log.truth, ekf.landmarks, aligned=False)
+lost = trajectory.evaluate(*dead_reckoning, log.truth, aligned=False)
 print(f"dead reckoning, position RMSE: {lost.ate_m:.2f} m")
 print(f"EKF-SLAM with our models, position RMSE: {slam.ate_m:.2f} m")
 
@@ -207,7 +208,7 @@ print(f"EKF-SLAM with our models, position RMSE: {slam.ate_m:.2f} m")
 # %%
 other = InvariantEKFSLAM(wheels, camera, world.pose, world.pose_covariance)
 said = other.run(log)
-invariant = metrics.evaluate(said.times, said.poses, log.truth, aligned=False)
+invariant = trajectory.evaluate(said.times, said.poses, log.truth, aligned=False)
 print(f"invariant EKF with our models, position RMSE: {invariant.ate_m:.2f} m")
 
 # %% [markdown]

@@ -28,8 +28,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slamkit import EKFSLAM, InputError, consistency, plots, simulate
+from slamkit import EKFSLAM, InputError, plots, simulate
 from slamkit.errors import DivergenceError
+from slamkit.evaluate import consistency
 from slamkit.se2 import wrap
 from slamkit.simulate import lesson_world
 

@@ -26,8 +26,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slamkit import EKFSLAM, metrics, plots, se2
+from slamkit import EKFSLAM, plots, se2
 from slamkit.datasets import mrclam
+from slamkit.evaluate import trajectory
 from slamkit.models import RangeBearing
 
 HERE = Path(__file__).resolve().parent
@@ -73,7 +74,7 @@ print(f"the two exchanged landmarks put right: {data.landmarks_corrected}")
 motion, sensor = mrclam.models()
 ekf = EKFSLAM(motion, sensor, gate=mrclam.GATE)
 history = ekf.run(log)
-times, dead_reckoning = metrics.dead_reckoning(log, motion)
+times, dead_reckoning = trajectory.dead_reckoning(log, motion)
 print(f"time for the whole log: {history.seconds:.2f} s")
 print(f"landmarks in the map: {len(ekf.landmarks)}")
 print(f"refused sightings: {history.rejected}")
@@ -89,8 +90,8 @@ print(f"refused sightings: {history.rejected}")
 # landmarks are moved by the same T: they get no alignment of their own. Dead reckoning, to be fair, does.
 
 # %%
-slam = metrics.evaluate(history.times, history.poses, log.truth, ekf.landmarks)
-lost = metrics.evaluate(times, dead_reckoning, log.truth)
+slam = trajectory.evaluate(history.times, history.poses, log.truth, ekf.landmarks)
+lost = trajectory.evaluate(times, dead_reckoning, log.truth)
 print(f"dead reckoning, ATE: {lost.ate_m:.2f} m")
 print(f"EKF-SLAM, ATE: {slam.ate_m:.2f} m")
 print(f"EKF-SLAM, landmark RMSE: {slam.landmark_rmse_m:.3f} m")
@@ -118,7 +119,7 @@ for robot in mrclam.robots(ZIP):
     for name, its_sensor in (("mrclam.models()", sensor), ("scatter alone", scatter)):
         f = EKFSLAM(motion, its_sensor, gate=mrclam.GATE)
         said = f.run(its_log)
-        result = metrics.evaluate(said.times, said.poses, its_log.truth, f.landmarks)
+        result = trajectory.evaluate(said.times, said.poses, its_log.truth, f.landmarks)
         print(f"robot {robot}, {name}, landmark RMSE: {result.landmark_rmse_m:.3f} m, refused: {said.rejected}")
 
 # %% [markdown]
@@ -138,7 +139,7 @@ panels = figure.subplot_mosaic([["map", "error"], ["map", "nis"]], width_ratios=
 plots.plot_map(panels["map"], history, log.truth, (times, dead_reckoning), slam.alignment)
 
 assert log.truth is not None
-rows, true_rows = metrics.nearest(history.times, log.truth.times, tolerance=0.1)
+rows, true_rows = trajectory.nearest(history.times, log.truth.times, tolerance=0.1)
 for name, poses in (("dead_reckoning", se2.compose(slam.alignment, dead_reckoning)), ("ekf", slam.poses)):
     error = np.linalg.norm(poses[rows, :2] - log.truth.poses[true_rows, :2], axis=1)
     look = plots.style(name)

@@ -28,7 +28,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slamkit import EKFSLAM, InvariantEKFSLAM, consistency, plots, simulate
+from slamkit import EKFSLAM, InvariantEKFSLAM, plots, simulate
+from slamkit.evaluate import consistency
 from slamkit.models import RelativePosition
 from slamkit.simulate import loop_world
 

@@ -27,7 +27,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slamkit import EKFSLAM, FirstEstimatesEKFSLAM, Log, gauge, plots, se2, simulate
+from slamkit import EKFSLAM, FirstEstimatesEKFSLAM, Log, plots, se2, simulate
+from slamkit.evaluate import gauge
 from slamkit.filters import FILTERS
 from slamkit.simulate import loop_world, standing_world
 

@@ -36,7 +36,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, gauge, plots, se2, simulate
+from slamkit import EKFSLAM, plots, se2, simulate
+from slamkit.evaluate import gauge
 from slamkit.filters import FILTERS
 from slamkit.simulate import loop_world
 from slamkit.study import compare

@@ -38,7 +38,8 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from slamkit import EKFSLAM, UKFSLAM, FullUKFSLAM, gauge, plots, se2, simulate
+from slamkit import EKFSLAM, UKFSLAM, FullUKFSLAM, plots, se2, simulate
+from slamkit.evaluate import gauge
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.simulate import World, random_world
 

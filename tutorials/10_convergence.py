@@ -36,7 +36,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, FirstEstimatesEKFSLAM, consistency, gauge, plots, simulate
+from slamkit import EKFSLAM, FirstEstimatesEKFSLAM, plots, simulate
+from slamkit.evaluate import consistency, gauge
 from slamkit.simulate import loop_world
 
 FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or Path(__file__).resolve().parent / "figures")

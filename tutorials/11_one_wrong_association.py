@@ -28,7 +28,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, InvariantEKFSLAM, Log, consistency, metrics, plots, se2, simulate
+from slamkit import EKFSLAM, InvariantEKFSLAM, Log, plots, se2, simulate
+from slamkit.evaluate import consistency, trajectory
 from slamkit.simulate import loop_world
 
 FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or Path(__file__).resolve().parent / "figures")
@@ -98,16 +99,16 @@ print(f"mean NIS, the last loop, names right: {right_run.nis[last_loop].mean():.
 # %% [markdown]
 # By the NIS everything is well again, and who has only a robot and no truth will think so. Is it?
 #
-# We lay the map of the swapped log onto that of the right one by the rigid motion T that fits best, `metrics.align`. T
-# says how far the scan has moved and turned the map *as a whole*, and the remainder how far it has *deformed* it. Both
-# as the root mean square over the landmarks, in metres, while the log goes on. Beside the standard EKF runs the
+# We lay the map of the swapped log onto that of the right one by the rigid motion T that fits best, `trajectory.align`.
+# T says how far the scan has moved and turned the map *as a whole*, and the remainder how far it has *deformed* it.
+# Both as the root mean square over the landmarks, in metres, while the log goes on. Beside the standard EKF runs the
 # invariant one, which keeps its gauge (see below).
 
 
 # %%
 def damage(landmarks: Array, reference: Array) -> tuple[float, float, float]:
     """Displacement as a whole [m], its turn [deg], and deformation [m] of one map against another."""
-    T = metrics.align(reference, landmarks)
+    T = trajectory.align(reference, landmarks)
     laid = se2.transform(T, reference)
     lengths = [np.sqrt(np.mean(np.sum(d**2, axis=1))) for d in (laid - reference, landmarks - laid)]
     return lengths[0], np.degrees(T[2]), lengths[1]

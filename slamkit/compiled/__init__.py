@@ -27,7 +27,7 @@ from numpy.typing import DTypeLike, NDArray
 #: gave no finite numbers; entries from one row of the store to the next, 0 where it is a packed triangle.
 ACTIVE, ROWS, ACTIVE_THEN, FAILING, STATUS, COLUMNS, WHOLE, CORRECTED, WHOLE_THEN, ODD, LEAD = range(11)
 
-#: Entries of ``State.work``, see `slamkit.filters.steps.upkeep`.
+#: Entries of ``State.work``, see `slamkit.cycle.steps.upkeep`.
 DEBT, PER_SQUARE, START, MOST, LIMIT, SPENT, SPENT_PLAIN, STAYS = range(8)
 
 #: Doubles of a cache line, rows and columns of a tile; terms of a sum that are written out, which divides every rank.
@@ -328,7 +328,7 @@ def models_of(motion: Any, sensor: Any, motion_params: Any, sensor_params: Any, 
 
 
 class Policy(Shared):
-    """What distinguishes one estimator, and the step that all have in common, see `slamkit.filters.steps`."""
+    """What distinguishes one estimator, and the step that all have in common, see `slamkit.cycle.steps`."""
 
     kind = "policy"
 
@@ -386,8 +386,8 @@ def _digest() -> str:
 
     package = Path(__file__).resolve().parent.parent
     digest = hashlib.sha256(f"{numba.__version__} {sys.version} {platform.machine()}".encode())
-    for path in sorted([*package.glob("*.py"), *package.glob("*/*.py")]):
+    for path in sorted(package.rglob("*.py")):
         source = path.read_bytes()
         if b"@compiled(" in source or path.parent.name == "compiled":
-            digest.update(path.name.encode() + source)
+            digest.update(path.relative_to(package).as_posix().encode() + source)
     return digest.hexdigest()[:16]

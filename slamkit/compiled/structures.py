@@ -277,8 +277,8 @@ STATE_FIELDS = {
     "points": vector,  # (capacity,) where the lever arms of the Jacobians are taken, if not at the mean
     "memory": vector,  # (6,) a variant's own few numbers
     "size": integers,  # (11,) see ACTIVE and what follows it in `slamkit.compiled`
-    "work": vector,  # (8,) what decides when to flush, see `slamkit.filters.steps.upkeep`
-    "Phi": matrix,  # (capacity, columns) Φ, see `slamkit.kernels`
+    "work": vector,  # (8,) what decides when to flush, see `slamkit.cycle.steps.upkeep`
+    "Phi": matrix,  # (capacity, columns) Φ, see `slamkit.belief.kernels`
     "minus_Psi": matrix,  # (columns, columns) lower triangle of -Ψ
     "theta": vector,  # (columns,) ϑ
     "g": matrix,  # (rows, columns) L⁻¹ H Φ

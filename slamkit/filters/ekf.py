@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from filterpy.kalman import ExtendedKalmanFilter
 
-from slamkit.filters.base import LandmarkFilter
+from slamkit.filters.landmark_filter import LandmarkFilter
 
 
 class EKFSLAM(LandmarkFilter, ExtendedKalmanFilter):  # type: ignore[misc, override]  # properties here

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from slamkit.compiled import compiled
-from slamkit.filters.base import PolicyFunctions
+from slamkit.cycle.standard import motion as standard_motion
+from slamkit.cycle.standard import sensor as standard_sensor
+from slamkit.cycle.standard import start as standard_start
 from slamkit.filters.ekf import EKFSLAM
-from slamkit.filters.standard import motion as standard_motion
-from slamkit.filters.standard import sensor as standard_sensor
-from slamkit.filters.standard import start as standard_start
+from slamkit.filters.landmark_filter import PolicyFunctions
 
 # The standard Jacobians enter as they are; only the column of the heading is sheared. With J d = (-d_y, d_x):
 # F T(p - q), T(d) = [I, J d; 0 1], moves the lever arm's foot from p to q, and the same on H and G_x.

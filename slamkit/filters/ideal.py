@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit.compiled import compiled
+from slamkit.cycle.standard import motion as standard_motion
+from slamkit.cycle.standard import motion_noise
+from slamkit.cycle.standard import sensor as standard_sensor
+from slamkit.cycle.standard import start as standard_start
 from slamkit.errors import InputError, SlamkitError
-from slamkit.filters.base import PolicyFunctions, Progress
 from slamkit.filters.ekf import EKFSLAM
-from slamkit.filters.standard import motion as standard_motion
-from slamkit.filters.standard import motion_noise
-from slamkit.filters.standard import sensor as standard_sensor
-from slamkit.filters.standard import start as standard_start
+from slamkit.filters.landmark_filter import PolicyFunctions, Progress
 from slamkit.logs import History, Log, Schedule, Truth, decode_id, encode_id
 from slamkit.protocols import MotionModel, SensorModel
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slamkit.belief.kernels import shear
 from slamkit.compiled import ACTIVE, MachineCode, compiled
+from slamkit.cycle.standard import motion as standard_motion
 from slamkit.filters import first_estimates
-from slamkit.filters.base import PolicyFunctions
 from slamkit.filters.ekf import EKFSLAM
-from slamkit.filters.standard import motion as standard_motion
-from slamkit.kernels import shear
+from slamkit.filters.landmark_filter import PolicyFunctions
 from slamkit.se2 import wrap_angle
 
 Array = NDArray[np.float64]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from slamkit.belief.kernels import propagate
 from slamkit.compiled import compiled
+from slamkit.cycle.standard import motion as standard_motion
 from slamkit.filters import first_estimates
-from slamkit.filters.base import PolicyFunctions
 from slamkit.filters.ekf import EKFSLAM
-from slamkit.filters.standard import motion as standard_motion
-from slamkit.kernels import propagate
+from slamkit.filters.landmark_filter import PolicyFunctions
 
 # All lever arms are first estimates moved by one common vector -Δ, so that their differences stay what they were;
 # Δ is the least-squares choice over the robot and the landmarks of the scan, which is what the published linear

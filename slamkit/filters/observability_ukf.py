@@ -7,7 +7,7 @@ from typing import Any
 from slamkit.compiled import compiled
 from slamkit.errors import InputError
 from slamkit.filters import first_estimates
-from slamkit.filters.base import PolicyFunctions
+from slamkit.filters.landmark_filter import PolicyFunctions
 from slamkit.filters.sigma_points import motion as ukf_motion
 from slamkit.filters.sigma_points import sensor as ukf_sensor
 from slamkit.filters.sigma_points import start as ukf_start

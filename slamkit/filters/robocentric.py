@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit import se2
+from slamkit.belief.kernels import gather
 from slamkit.compiled import ACTIVE, ROWS, MachineCode, compiled
-from slamkit.filters.base import PolicyFunctions
+from slamkit.cycle.standard import motion_noise
 from slamkit.filters.ekf import EKFSLAM
-from slamkit.filters.standard import motion_noise
-from slamkit.kernels import gather
+from slamkit.filters.landmark_filter import PolicyFunctions
 from slamkit.protocols import MotionModel, SensorModel
 from slamkit.se2 import wrap, wrap_angle
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from slamkit.belief.kernels import cholesky, forward, is_finite, whiten
 from slamkit.compiled import ACTIVE, compiled
-from slamkit.filters.steps import NOT_DEFINITE, dismiss, drop, screen, settle
-from slamkit.kernels import cholesky, forward, is_finite, whiten
+from slamkit.cycle.steps import NOT_DEFINITE, dismiss, drop, screen, settle
 from slamkit.se2 import wrap_angle
 
 # Sigma points x ± s T lᵢ, where lᵢ are the columns of chol(Tᵀ P T) and T turns positions into robot axes: with the

@@ -10,7 +10,7 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import ArrayLike, NDArray
 
 from slamkit.errors import InputError
-from slamkit.filters.base import LandmarkFilter, PolicyFunctions
+from slamkit.filters.landmark_filter import LandmarkFilter, PolicyFunctions
 from slamkit.filters.sigma_points import (
     PROBE,
     moments,

@@ -1,0 +1,1 @@
+"""Files in other people's formats."""
