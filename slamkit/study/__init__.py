@@ -423,8 +423,8 @@ class Study:
         -----
         A filter claims too little where its mean NEES of the final state (:func:`slamkit.evaluate.gauge.nees_split`)
         lies above a bound that consistent filters, all of the study taken together, pass in either part with a
-        probability of 5 % (Bonferroni). It claims to have learnt its gauge where the gauge deviation falls by more than a thousandth. A
-        recorded log is aligned with its truth, so that errors say nothing of the gauge there.
+        probability of 5 % (Bonferroni). It claims to have learnt its gauge where the gauge deviation falls by more
+        than a thousandth. A recorded log is aligned with its truth, so that errors say nothing of the gauge there.
         """
         out = []
         known = [n for n, v in self.summary().items() if v["relative_nees_per_dof"] is not None]

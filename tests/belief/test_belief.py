@@ -36,9 +36,9 @@ from slamkit.compiled import (
     WHOLE_THEN,
     aligned,
 )
+from slamkit.cycle import steps
 from slamkit.errors import DivergenceError, MemoryCapError
 from slamkit.evaluate.gauge import null_directions, nullity
-from slamkit.filters import steps
 from slamkit.models import RelativePosition
 from slamkit.simulate import random_world, simulate
 
