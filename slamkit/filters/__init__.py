@@ -1,33 +1,16 @@
 """The estimators, one a file, and their names on the command line and in figures."""
 
-from typing import Any
-
 from slamkit.filters.ekf import EKFSLAM
 from slamkit.filters.first_estimates import FirstEstimatesEKFSLAM
 from slamkit.filters.ideal import IdealEKFSLAM
 from slamkit.filters.invariant import InvariantEKFSLAM
 from slamkit.filters.iterated import IteratedEKFSLAM
+from slamkit.filters.landmark_filter import LandmarkFilter
 from slamkit.filters.observability import ObservabilityConstrainedEKFSLAM
 from slamkit.filters.observability_ukf import ObservabilityConstrainedUKFSLAM
+from slamkit.filters.registry import FILTERS
 from slamkit.filters.robocentric import RobocentricEKFSLAM
 from slamkit.filters.ukf import UKFSLAM, FullUKFSLAM
-
-#: Command-line name → estimator.
-FILTERS: dict[str, Any] = {
-    f.name: f
-    for f in (
-        EKFSLAM,
-        FirstEstimatesEKFSLAM,
-        ObservabilityConstrainedEKFSLAM,
-        InvariantEKFSLAM,
-        IteratedEKFSLAM,
-        IdealEKFSLAM,
-        RobocentricEKFSLAM,
-        UKFSLAM,
-        FullUKFSLAM,
-        ObservabilityConstrainedUKFSLAM,
-    )
-}
 
 __all__ = [
     "EKFSLAM",
@@ -38,6 +21,7 @@ __all__ = [
     "IdealEKFSLAM",
     "InvariantEKFSLAM",
     "IteratedEKFSLAM",
+    "LandmarkFilter",
     "ObservabilityConstrainedEKFSLAM",
     "ObservabilityConstrainedUKFSLAM",
     "RobocentricEKFSLAM",
