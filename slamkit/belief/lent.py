@@ -6,14 +6,12 @@ import weakref
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from slamkit.arrays import Array
 from slamkit.compiled import TILE, aligned
 
-Array = NDArray[np.float64]
 
-
-class Square:
+class LentMatrix:
     """Room for a symmetric matrix whose rows start at cache lines.
 
     Parameters
@@ -24,7 +22,7 @@ class Square:
     Attributes
     ----------
     capacity : int
-    lead : int
+    row_stride : int
         Entries from the start of one row to that of the next: an odd number of cache lines, for the caches keep few
         lines of those that are a power of two apart.
     store : ndarray (capacity · lead,)
@@ -32,8 +30,8 @@ class Square:
     """
 
     def __init__(self, capacity: int) -> None:
-        self.capacity, self.lead = capacity, capacity + TILE
-        self.store = aligned(capacity * self.lead)
+        self.capacity, self.row_stride = capacity, capacity + TILE
+        self.store = aligned(capacity * self.row_stride)
         self._address = self.store.ctypes.data
         self._room = np.empty(0)
         self._loans: weakref.WeakSet[_Loan] = weakref.WeakSet()
@@ -45,7 +43,7 @@ class Square:
         return self._room[:n]
 
     @staticmethod
-    def size(capacity: int) -> int:
+    def bytes(capacity: int) -> int:
         """Bytes of a matrix of that capacity."""
         return 8 * capacity * (capacity + TILE)
 
@@ -56,7 +54,7 @@ class Square:
 
     def lend(self, n: int) -> Array:
         """The first n rows and columns, read-only; as long as somebody holds them, nobody may write to the store."""
-        loan = _Loan(self.store, self._address, self.lead, n)
+        loan = _Loan(self.store, self._address, self.row_stride, n)
         self._loans.add(loan)
         return np.asarray(loan)
 

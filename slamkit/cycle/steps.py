@@ -12,7 +12,7 @@ estimator stands in its policy:
 ``scan(models, state, slots, moved)``
     is told which landmarks a scan holds (-1: not in the map) before it is taken, and whether a prediction preceded it.
 ``correct(policy, models, state, n)``
-    makes one update by the n sightings in ``state.slots`` and ``state.z``: a status.
+    makes one update by the n sightings in ``state.scratch.slots`` and ``state.last.z``: a status.
 ``retract(state)``
     moves the mean by dx, in the estimator's own error coordinates.
 ``report(state, pose, covariance)``
@@ -75,16 +75,16 @@ OK, BAD_MOTION, BAD_SIGHTING, NOT_DEFINITE, FULL, DUE = 0, 1, 2, 3, 4, 5
 
 @compiled("index(models, state, integers, matrix)", generic=True)
 def first_bad(models: Any, state: Any, slots: Any, z: Any) -> int:
-    """The first sighting that the sensor cannot use from ``state.pose``, or -1; asked before anything changes."""
+    """The first sighting that the sensor cannot use from ``state.scratch.pose``, or -1; asked before anything changes."""
     for i in range(slots.shape[0]):
-        landmark = state.at[:2]
+        landmark = state.scratch.at[:2]
         if slots[i] >= 0:
-            landmark[0], landmark[1] = state.mean[slots[i]], state.mean[slots[i] + 1]
+            landmark[0], landmark[1] = state.belief.mean[slots[i]], state.belief.mean[slots[i] + 1]
         else:
-            models.invert(state.pose, z[i], models.sensor_params, landmark)
-        models.predict(state.pose, landmark, models.sensor_params, state.z_hat)
-        models.residual(z[i], state.z_hat, models.sensor_params, state.effective[: z.shape[1]])
-        if not is_finite(state.effective[: z.shape[1]]):
+            models.invert(state.scratch.pose, z[i], models.sensor_params, landmark)
+        models.predict(state.scratch.pose, landmark, models.sensor_params, state.scratch.z_hat)
+        models.residual(z[i], state.scratch.z_hat, models.sensor_params, state.scratch.effective[: z.shape[1]])
+        if not is_finite(state.scratch.effective[: z.shape[1]]):
             return i
     return -1
 
@@ -92,37 +92,37 @@ def first_bad(models: Any, state: Any, slots: Any, z: Any) -> int:
 @compiled("void(state, index, index)")
 def drop(state: Any, place: int, k: int) -> None:
     """The sighting at this place of the scan gave no finite numbers: it is refused."""
-    state.size[ODD] += 1
-    state.accepted[place], state.nis[place] = False, inf
+    state.scratch.non_finite += 1
+    state.scratch.accepted[place], state.scratch.nis[place] = False, inf
     for r in range(k):
-        state.innovations[place, r] = nan
+        state.scratch.innovations[place, r] = nan
 
 
 @compiled("flag(policy, models, state, index)", generic=True)
 def linearise_one(policy: Any, models: Any, state: Any, j: int) -> bool:
-    """Linearise sighting j of ``state.slots`` at ``state.at``; False, and it is refused, without finite numbers."""
+    """Linearise sighting j of ``state.scratch.slots`` at ``state.scratch.at``; False, and it is refused, without finite numbers."""
     k = models.R.shape[0]
-    at, y, H_pose, H_landmark, first = state.at, state.y, state.H_pose, state.H_landmark, j * k
-    landmark, z = part(at, 3 + 2 * j, 2), part(state.z, first, k)
-    policy.sensor(models, state, part(at, 0, 3), landmark, state.slots[j], z, first)
+    at, y, H_pose, H_landmark, first = state.scratch.at, state.last.y, state.scratch.H_pose, state.scratch.H_landmark, j * k
+    landmark, z = rows_of(at, 3 + 2 * j, 2), rows_of(state.last.z, first, k)
+    policy.sensor(models, state, rows_of(at, 0, 3), landmark, state.scratch.slots[j], z, first)
     total = 0.0
     for r in range(first, first + k):
         # A sum is finite only if all of it is, or if it is so large that no filter can use it.
         total += (y[r] + H_pose[r, 0]) + (H_pose[r, 1] + H_pose[r, 2]) + (H_landmark[r, 0] + H_landmark[r, 1])
     if isfinite(total):
         return True
-    drop(state, state.order[j], k)
+    drop(state, state.scratch.order[j], k)
     return False
 
 
 @compiled("index(policy, models, state, index)", generic=True)
 def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
-    """Linearise the n sightings in ``state.slots`` at ``state.at``; how many of them gave finite numbers.
+    """Linearise the n sightings in ``state.scratch.slots`` at ``state.scratch.at``; how many of them gave finite numbers.
 
     Those that did not (a landmark that an earlier sighting of the scan moved onto the robot) are refused.
     """
     k = models.R.shape[0]
-    slots, order, z, at = state.slots, state.order, state.z, state.at
+    slots, order, z, at = state.scratch.slots, state.scratch.order, state.last.z, state.scratch.at
     kept = 0
     for j in range(n):
         if kept < j:
@@ -141,18 +141,18 @@ def screen(policy: Any, models: Any, state: Any, n: int) -> int:
     k = models.R.shape[0]
     kept = 0
     for j in range(n):
-        place = state.order[j]
-        if not cholesky(state.S, state.L, j * k, k):
+        place = state.scratch.order[j]
+        if not cholesky(state.last.S, state.last.L, j * k, k):
             return -1
-        nis = forward(state.L, state.y, state.t, j * k, k)
+        nis = forward(state.last.L, state.last.y, state.last.t, j * k, k)
         for r in range(k):
-            state.innovations[place, r] = state.y[j * k + r]
-        state.nis[place], state.accepted[place] = nis, nis <= policy.gate
+            state.scratch.innovations[place, r] = state.last.y[j * k + r]
+        state.scratch.nis[place], state.scratch.accepted[place] = nis, nis <= policy.gate
         if nis <= policy.gate:
-            state.slots[kept], state.order[kept] = state.slots[j], state.order[j]
+            state.scratch.slots[kept], state.scratch.order[kept] = state.scratch.slots[j], state.scratch.order[j]
             if kept < j:
                 for r in range(k):
-                    state.z[kept * k + r] = state.z[j * k + r]
+                    state.last.z[kept * k + r] = state.last.z[j * k + r]
             kept += 1
     return kept
 
@@ -160,7 +160,7 @@ def screen(policy: Any, models: Any, state: Any, n: int) -> int:
 @compiled("void(state, index)")
 def aim(state: Any, n: int) -> None:
     """Linearise at the mean."""
-    at, mean, slots = state.at, state.mean, state.slots
+    at, mean, slots = state.scratch.at, state.belief.mean, state.scratch.slots
     at[0], at[1], at[2] = mean[0], mean[1], mean[2]
     for j in range(n):
         at[3 + 2 * j], at[4 + 2 * j] = mean[slots[j]], mean[slots[j] + 1]
@@ -168,31 +168,31 @@ def aim(state: Any, n: int) -> None:
 
 @compiled("void(state, index, index)")
 def shift_innovation(state: Any, n: int, k: int) -> None:
-    """effective ← y - H (mean - at): the innovation of the linear model that touches h at ``state.at``."""
+    """effective ← y - H (mean - at): the innovation of the linear model that touches h at ``state.scratch.at``."""
     for r in range(n * k):
-        slot, at = state.slots[r // k], 3 + 2 * (r // k)
-        s = state.y[r]
+        slot, at = state.scratch.slots[r // k], 3 + 2 * (r // k)
+        s = state.last.y[r]
         for c in range(3):
-            s -= state.H_pose[r, c] * (state.mean[c] - state.at[c])
+            s -= state.scratch.H_pose[r, c] * (state.belief.mean[c] - state.scratch.at[c])
         for c in range(2):
-            s -= state.H_landmark[r, c] * (state.mean[slot + c] - state.at[at + c])
-        state.effective[r] = s
+            s -= state.scratch.H_landmark[r, c] * (state.belief.mean[slot + c] - state.scratch.at[at + c])
+        state.scratch.effective[r] = s
 
 
 @compiled("real(state, index)")
 def advance(state: Any, n: int) -> float:
-    """Move ``state.at`` to mean + dx; the largest change."""
+    """Move ``state.scratch.at`` to mean + dx; the largest change."""
     change = 0.0
     for c in range(3):
-        new = state.mean[c] + state.dx[c]
-        change = max(change, abs(new - state.at[c]))
-        state.at[c] = new
+        new = state.belief.mean[c] + state.scratch.dx[c]
+        change = max(change, abs(new - state.scratch.at[c]))
+        state.scratch.at[c] = new
     for j in range(n):
-        slot = state.slots[j]
+        slot = state.scratch.slots[j]
         for c in range(2):
-            new = state.mean[slot + c] + state.dx[slot + c]
-            change = max(change, abs(new - state.at[3 + 2 * j + c]))
-            state.at[3 + 2 * j + c] = new
+            new = state.belief.mean[slot + c] + state.scratch.dx[slot + c]
+            change = max(change, abs(new - state.scratch.at[3 + 2 * j + c]))
+            state.scratch.at[3 + 2 * j + c] = new
     return change
 
 
@@ -200,11 +200,11 @@ def advance(state: Any, n: int) -> float:
 def settle(policy: Any, state: Any, n: int, k: int) -> int:
     """Carry out an update that is prepared."""
     size = state.size
-    size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN] = n * k, size[ACTIVE], size[WHOLE]
+    state.last.rows, state.last.active, state.last.dim = n * k, state.belief.active, state.belief.dim
     downdate(state, n * k)
     # The mean moves before dx is used otherwise.
     policy.retract(state)
-    if size[COLUMNS] > 0:
+    if state.resting.columns > 0:
         record(state, n, k)
     return OK
 
@@ -213,20 +213,20 @@ def settle(policy: Any, state: Any, n: int, k: int) -> int:
 def refuse(state: Any, rows: int) -> None:
     """An update beyond the gate is on record with y, S and L as they are and a gain of zero: it has changed nothing."""
     size = state.size
-    size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN] = rows, size[ACTIVE], size[WHOLE]
+    state.last.rows, state.last.active, state.last.dim = rows, state.belief.active, state.belief.dim
     for r in range(rows):
-        for i in range(size[ACTIVE]):
-            state.w[r, i] = 0.0
-        for i in range(size[COLUMNS]):
-            state.g[r, i] = 0.0
+        for i in range(state.belief.active):
+            state.last.w[r, i] = 0.0
+        for i in range(state.resting.columns):
+            state.last.g[r, i] = 0.0
 
 
 @compiled("index(state, index)")
 def dismiss(state: Any, rows: int) -> int:
     """`refuse` all rows of an update that is not factored yet."""
-    if not cholesky(state.S, state.L, 0, rows):
+    if not cholesky(state.last.S, state.last.L, 0, rows):
         return NOT_DEFINITE
-    forward(state.L, state.y, state.t, 0, rows)
+    forward(state.last.L, state.last.y, state.last.t, 0, rows)
     refuse(state, rows)
     return OK
 
@@ -234,13 +234,13 @@ def dismiss(state: Any, rows: int) -> int:
 @compiled("index(policy, models, state)", generic=True)
 def correct_one(policy: Any, models: Any, state: Any) -> Any:
     """The update by one sighting of two rows, which nearly every update is."""
-    at, mean, y, slot, place = state.at, state.mean, state.y, state.slots[0], state.order[0]
+    at, mean, y, slot, place = state.scratch.at, state.belief.mean, state.last.y, state.scratch.slots[0], state.scratch.order[0]
     at[0], at[1], at[2], at[3], at[4] = mean[0], mean[1], mean[2], mean[slot], mean[slot + 1]
     if not linearise_one(policy, models, state, 0):
         return dismiss(state, 0)
     nis = absorb(state, policy.gate)
-    state.innovations[place, 0], state.innovations[place, 1], state.nis[place] = y[0], y[1], nis
-    state.accepted[place] = nis <= policy.gate
+    state.scratch.innovations[place, 0], state.scratch.innovations[place, 1], state.scratch.nis[place] = y[0], y[1], nis
+    state.scratch.accepted[place] = nis <= policy.gate
     if nis <= policy.gate:
         return NOT_DEFINITE if nis < 0.0 else settle(policy, state, 1, 2)
     refuse(state, 2)
@@ -267,12 +267,12 @@ def correct_stacked(policy: Any, models: Any, state: Any, n: int) -> Any:
         project(state, n, k)
     rows = n * k
     for r in range(rows):
-        state.effective[r] = state.y[r]
+        state.scratch.effective[r] = state.last.y[r]
     for iteration in range(policy.iterations):
         if not factored or iteration > 0:
-            if not cholesky(state.S, state.L, 0, rows):
+            if not cholesky(state.last.S, state.last.L, 0, rows):
                 return NOT_DEFINITE
-            forward(state.L, state.effective, state.t, 0, rows)
+            forward(state.last.L, state.scratch.effective, state.last.t, 0, rows)
         whiten(state, rows)
         if iteration + 1 == policy.iterations or advance(state, n) < 1e-12:
             break
@@ -284,7 +284,7 @@ def correct_stacked(policy: Any, models: Any, state: Any, n: int) -> Any:
 
 @compiled("index(policy, models, state, index)", generic=True)
 def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
-    """One update by the n sightings in ``state.slots`` and ``state.z``, stacked.
+    """One update by the n sightings in ``state.scratch.slots`` and ``state.last.z``, stacked.
 
     With more than one iteration it is the iterated EKF: linearise at the last iterate until it stands still
     (Bell & Cathey, IEEE TAC 38(2), 1993: Gauss-Newton on the same cost).
@@ -297,10 +297,10 @@ def correct(policy: Any, models: Any, state: Any, n: int) -> Any:
 @compiled("index(policy, models, state, index, vector)", generic=True)
 def begin(policy: Any, models: Any, state: Any, place: int, z: Any) -> Any:
     """Start a landmark from its first sighting; its slot."""
-    slot = state.size[ACTIVE]
+    slot = state.belief.active
     policy.start(models, state, slot, place, z)
-    if not isfinite(state.mean[slot] + state.mean[slot + 1]):
-        state.size[ODD] += 1
+    if not isfinite(state.belief.mean[slot] + state.belief.mean[slot + 1]):
+        state.scratch.non_finite += 1
     augment(state, slot)
     return slot
 
@@ -315,16 +315,16 @@ def take(policy: Any, models: Any, state: Any, slots: Any, z: Any, moved: bool) 
     policy.scan(models, state, slots, moved)
     for i in range(n):
         if slots[i] < 0:
-            state.nis[i], state.accepted[i] = nan, True
+            state.scratch.nis[i], state.scratch.accepted[i] = nan, True
             for r in range(k):
-                state.innovations[i, r] = nan
+                state.scratch.innovations[i, r] = nan
     if policy.batch:
         known = 0
         for i in range(n):
             if slots[i] >= 0:
-                state.slots[known], state.order[known] = slots[i], i
+                state.scratch.slots[known], state.scratch.order[known] = slots[i], i
                 for r in range(k):
-                    state.z[known * k + r] = z[i, r]
+                    state.last.z[known * k + r] = z[i, r]
                 known += 1
         if known > 0:
             status = policy.correct(policy, models, state, known)
@@ -336,9 +336,9 @@ def take(policy: Any, models: Any, state: Any, slots: Any, z: Any, moved: bool) 
         return OK
     for i in range(n):
         if slots[i] >= 0:
-            state.slots[0], state.order[0] = slots[i], i
+            state.scratch.slots[0], state.scratch.order[0] = slots[i], i
             for r in range(k):
-                state.z[r] = z[i, r]
+                state.last.z[r] = z[i, r]
             status = policy.correct(policy, models, state, 1)
             if status != OK:
                 return status
@@ -350,16 +350,16 @@ def take(policy: Any, models: Any, state: Any, slots: Any, z: Any, moved: bool) 
 @compiled("flag(state, integers)")
 def awaken(state: Any, slots: Any) -> bool:
     """Make the landmarks of a scan active and give their slots there; False, and nothing has changed, without room."""
-    size, local = state.size, state.local
+    size, local = state.size, state.belief.local
     new = resting = 0
     for slot in slots:
         if slot < 0:
             new += 2
         elif local[slot] < 0:
             resting += 2
-    if size[ACTIVE] + new + resting > state.mean.shape[0] or size[WHOLE] + new > local.shape[0]:
+    if state.belief.active + new + resting > state.belief.mean.shape[0] or state.belief.dim + new > local.shape[0]:
         return False
-    if resting > 0 and size[COLUMNS] + resting > state.theta.shape[0]:
+    if resting > 0 and state.resting.columns + resting > state.resting.theta.shape[0]:
         return False
     for i in range(slots.shape[0]):
         slot = slots[i]
@@ -373,7 +373,7 @@ def rename(state: Any, slots: Any) -> None:
     """Active slots → slots in the map."""
     for i in range(slots.shape[0]):
         if slots[i] >= 0:
-            slots[i] = state.owner[slots[i]]
+            slots[i] = state.belief.owner[slots[i]]
 
 
 @compiled("index(state, index)")
@@ -388,18 +388,18 @@ def upkeep(state: Any, n: int) -> int:
     would have cost had nothing rested (`SPENT_PLAIN`); for how many steps nothing is to rest (`STAYS`).
     """
     size, work = state.size, state.work
-    C = size[COLUMNS]
+    C = state.resting.columns
     if C == 0:
-        if size[WHOLE] <= work[LIMIT]:
+        if state.belief.dim <= state.resting.limit:
             return OK
-        work[STAYS] -= 1.0
-        return DUE if work[STAYS] < 0.0 else OK
-    D, need, whole = float(size[ACTIVE]), 3.0 + 2.0 * n, float(size[WHOLE])
+        state.resting.stays -= 1.0
+        return DUE if state.resting.stays < 0.0 else OK
+    D, need, whole = float(state.belief.active), 3.0 + 2.0 * n, float(state.belief.dim)
     cost = D * D + 2.0 * D * C + C * C
-    work[SPENT] += n * cost
-    work[SPENT_PLAIN] += n * whole * whole
-    work[DEBT] += n * max(0.0, cost - 4.0 * need * need)
-    if state.V.shape[1] > 0 or work[DEBT] > work[PER_SQUARE] * need * whole * whole + work[START] or work[MOST] < C:
+    state.resting.spent += n * cost
+    state.resting.spent_plain += n * whole * whole
+    state.resting.debt += n * max(0.0, cost - 4.0 * need * need)
+    if state.resting.V.shape[1] > 0 or state.resting.debt > state.resting.price_per_square * need * whole * whole + state.resting.fixed_price or state.resting.most_columns < C:
         return DUE
     return OK
 
@@ -407,7 +407,7 @@ def upkeep(state: Any, n: int) -> int:
 @compiled("flag(state)")
 def finite_motion(state: Any) -> bool:
     """Whether a motion's pose, F and Q are finite; a sum is finite only if all of it is."""
-    pose, F, Q = state.pose, state.F, state.Q
+    pose, F, Q = state.scratch.pose, state.last.F, state.last.Q
     total = pose[0] + pose[1] + pose[2]
     for i in range(3):
         total += F[i, 0] + F[i, 1] + F[i, 2] + Q[i, 0] + Q[i, 1] + Q[i, 2]
@@ -417,7 +417,7 @@ def finite_motion(state: Any) -> bool:
 @compiled("void(state)")
 def remember(state: Any) -> None:
     """Keep what a prediction is about to write besides its pose."""
-    before, memory, F, Q = state.before, state.memory, state.F, state.Q
+    before, memory, F, Q = state.scratch.refused, state.memory, state.last.F, state.last.Q
     for i in range(6):
         before[i] = memory[i]
     for i in range(3):
@@ -428,7 +428,7 @@ def remember(state: Any) -> None:
 @compiled("index(state, integers, real, index)")
 def refuse_step(state: Any, slots: Any, dt: float, status: int) -> int:
     """Give back the caller's slots, and what `remember` has kept where there was a prediction; the status."""
-    before, memory, F, Q = state.before, state.memory, state.F, state.Q
+    before, memory, F, Q = state.scratch.refused, state.memory, state.last.F, state.last.Q
     rename(state, slots)
     if dt > 0.0:
         for i in range(6):
@@ -444,7 +444,7 @@ def advance_and_take(policy: Any, models: Any, state: Any, slots: Any, z: Any, d
     """Carry out a prediction that is prepared, unless dt is 0, and take the scan."""
     if dt > 0.0:
         for i in range(3):
-            state.mean[i] = state.pose[i]
+            state.belief.mean[i] = state.scratch.pose[i]
         propagate(state)
     return take(policy, models, state, slots, z, dt > 0.0)
 
@@ -464,24 +464,24 @@ def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z:
             return refuse_step(state, slots, dt, BAD_MOTION)
     else:
         for i in range(3):
-            state.pose[i] = state.mean[i]
-    size, D = state.size, state.size[ACTIVE]
-    before = size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN]
-    size[ODD] = 0
-    if size[COLUMNS] == 0 and state.mean.shape[0] <= SMALL and size[ROWS] <= 2 and models.sights and not policy.batch:
+            state.scratch.pose[i] = state.belief.mean[i]
+    size, D = state.size, state.belief.active
+    before = state.last.rows, state.last.active, state.last.dim
+    state.scratch.non_finite = 0
+    if state.resting.columns == 0 and state.belief.mean.shape[0] <= SMALL and state.last.rows <= 2 and models.sights and not policy.batch:
         # To save so little is cheaper than to ask every sighting first; only where one fails they are asked after all.
         save(state)
         status = advance_and_take(policy, models, state, slots, z, dt)
-        if size[ODD] == 0:
+        if state.scratch.non_finite == 0:
             rename(state, slots)
             return upkeep(state, slots.shape[0]) if status == OK else status
         for i in range(slots.shape[0]):
             slots[i] = slots[i] if slots[i] < D else -1
         undo(state, D)
-        size[ROWS], size[ACTIVE_THEN], size[WHOLE_THEN] = before
+        state.last.rows, state.last.active, state.last.dim = before
     bad = first_bad(models, state, slots, z)
     if bad >= 0:
-        size[FAILING] = bad
+        state.scratch.failing = bad
         return refuse_step(state, slots, dt, BAD_SIGHTING)
     status = advance_and_take(policy, models, state, slots, z, dt)
     rename(state, slots)
@@ -515,29 +515,29 @@ def run(
     ``which[j]`` is the log's landmark in observation j, ``slot_of`` maps it to its slot (-1: not in the map yet);
     the true poses and landmarks are empty unless the filter is told them.
     """
-    slots = np.empty(state.nis.shape[0], np.int64)
+    slots = np.empty(state.scratch.nis.shape[0], np.int64)
     for i in range(begin_at, end_at):
         lo, n = first[i], first[i + 1] - first[i]
         for j in range(n):
             slots[j] = slot_of[which[lo + j]]
             if true_landmarks.shape[0] > 0:
                 for c in range(2):
-                    state.truth[j, c] = true_landmarks[which[lo + j], c]
+                    state.scratch.truth[j, c] = true_landmarks[which[lo + j], c]
         if true_poses.shape[0] > 0:
             for c in range(3):
                 state.memory[c] = true_poses[i, c]
         status = policy.step(policy, models, state, controls[max(control[i], 0)], dt[i], slots[:n], z[lo : lo + n])
         for j in range(n):
             slot_of[which[lo + j]] = slots[j]
-        state.size[STATUS] = status
+        state.scratch.status = status
         if status != OK and status != DUE:
             return i
         policy.report(state, poses[i], covariances[i])
         for j in range(n):
             for r in range(innovations.shape[1]):
-                innovations[lo + j, r] = state.innovations[j, r]
-            nis[lo + j] = state.nis[j]
-            accepted[lo + j] = state.accepted[j]
+                innovations[lo + j, r] = state.scratch.innovations[j, r]
+            nis[lo + j] = state.scratch.nis[j]
+            accepted[lo + j] = state.scratch.accepted[j]
         if status == DUE:
             return i + 1
     return end_at

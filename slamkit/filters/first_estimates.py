@@ -17,10 +17,10 @@ from slamkit.filters.landmark_filter import PolicyFunctions
 
 @compiled("void(models, state, vector, real)", generic=True)
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
-    """F = [I, J(p' - q); 0 1] for an equivariant model, where q = ``state.points[:2]``."""
+    """F = [I, J(p' - q); 0 1] for an equivariant model, where q = ``state.belief.linearised_at[:2]``."""
     standard_motion(models, state, u, dt)
-    F = state.F
-    dx, dy = state.mean[0] - state.points[0], state.mean[1] - state.points[1]
+    F = state.last.F
+    dx, dy = state.belief.mean[0] - state.belief.linearised_at[0], state.belief.mean[1] - state.belief.linearised_at[1]
     for i in range(3):
         F[i, 2] += F[i, 1] * dx - F[i, 0] * dy
 
@@ -29,29 +29,29 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
     """The predicted position is the first estimate of where the robot is now."""
     if moved:
-        state.points[0], state.points[1] = state.mean[0], state.mean[1]
+        state.belief.linearised_at[0], state.belief.linearised_at[1] = state.belief.mean[0], state.belief.mean[1]
 
 
 @compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
 def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
     """H = -H_b Cᵀ[I, J(l_lin - q)] on the pose, H_b Cᵀ on the landmark."""
     standard_sensor(models, state, pose, landmark, slot, z, row)
-    points = state.points
+    points = state.belief.linearised_at
     dx = points[slot] - points[0] - (landmark[0] - pose[0])
     dy = points[slot + 1] - points[1] - (landmark[1] - pose[1])
     for r in range(row, row + z.shape[0]):
-        state.H_pose[r, 2] += state.H_landmark[r, 0] * dy - state.H_landmark[r, 1] * dx
+        state.scratch.H_pose[r, 2] += state.scratch.H_landmark[r, 0] * dy - state.scratch.H_landmark[r, 1] * dx
 
 
 @compiled("void(models, state, index, index, vector)", generic=True)
 def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """G_x = [I, J(l - q)], not [I, J(l - p)]: the published form lets the filter learn its heading."""
     standard_start(models, state, slot, place, z)
-    G, points = state.G_pose, state.points
-    dx, dy = state.mean[0] - points[0], state.mean[1] - points[1]
+    G, points = state.scratch.G_pose, state.belief.linearised_at
+    dx, dy = state.belief.mean[0] - points[0], state.belief.mean[1] - points[1]
     for i in range(2):
         G[i, 2] += G[i, 1] * dx - G[i, 0] * dy
-    points[slot], points[slot + 1] = state.mean[slot], state.mean[slot + 1]
+    points[slot], points[slot + 1] = state.belief.mean[slot], state.belief.mean[slot + 1]
 
 
 class FirstEstimatesEKFSLAM(EKFSLAM):

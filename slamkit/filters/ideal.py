@@ -21,17 +21,17 @@ from slamkit.protocols import MotionModel, SensorModel
 
 Array = NDArray[np.float64]
 
-# ``state.points`` holds the true state, ``state.memory[:3]`` the true pose that a prediction arrives at.
+# ``state.belief.linearised_at`` holds the true state, ``state.memory[:3]`` the true pose that a prediction arrives at.
 
 
-@compiled("void(models, state, vector, real)", generic=True, allocates=True)
+@compiled("void(models, state, vector, real)", generic=True)
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """F = [I, J(p'_true - p_true); 0 1], G and Q at the true pose."""
     standard_motion(models, state, u, dt)
-    pose, F = state.points[:3], state.F
+    pose, F = state.belief.linearised_at[:3], state.last.F
     arrived = np.empty(3)
     models.move(pose, u, dt, models.motion_params, arrived)
-    models.motion_jacobians(pose, u, dt, models.motion_params, F, state.G)
+    models.motion_jacobians(pose, u, dt, models.motion_params, F, state.scratch.G)
     motion_noise(models, state, pose, u, dt)
     # The model's own lever arm ends where the noiseless control leads; the truth is elsewhere.
     F[0, 2] -= state.memory[1] - arrived[1]
@@ -43,7 +43,7 @@ def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
     """The robot is where it is."""
     if moved:
         for i in range(3):
-            state.points[i] = state.memory[i]
+            state.belief.linearised_at[i] = state.memory[i]
 
 
 @compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
@@ -51,22 +51,22 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     """The innovation at the estimate, H at the truth."""
     standard_sensor(models, state, pose, landmark, slot, z, row)
     rows = slice(row, row + z.shape[0])
-    true_pose, true_landmark = state.points[:3], state.points[slot : slot + 2]
-    models.sensor_jacobians(true_pose, true_landmark, models.sensor_params, state.H_pose[rows], state.H_landmark[rows])
+    true_pose, true_landmark = state.belief.linearised_at[:3], state.belief.linearised_at[slot : slot + 2]
+    models.sensor_jacobians(true_pose, true_landmark, models.sensor_params, state.scratch.H_pose[rows], state.scratch.H_landmark[rows])
 
 
-@compiled("void(models, state, index, index, vector)", generic=True, allocates=True)
+@compiled("void(models, state, index, index, vector)", generic=True)
 def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """The landmark from the estimate, G_x and G_z at the truth."""
-    landmark = state.truth[place]
+    landmark = state.scratch.truth[place]
     exact = np.empty(z.shape[0])
-    models.predict(state.points[:3], landmark, models.sensor_params, exact)
-    x, y, heading = state.mean[0], state.mean[1], state.mean[2]
-    state.mean[0], state.mean[1], state.mean[2] = state.points[0], state.points[1], state.points[2]
+    models.predict(state.belief.linearised_at[:3], landmark, models.sensor_params, exact)
+    x, y, heading = state.belief.mean[0], state.belief.mean[1], state.belief.mean[2]
+    state.belief.mean[0], state.belief.mean[1], state.belief.mean[2] = state.belief.linearised_at[0], state.belief.linearised_at[1], state.belief.linearised_at[2]
     standard_start(models, state, slot, place, exact)
-    state.mean[0], state.mean[1], state.mean[2] = x, y, heading
-    models.invert(state.mean[:3], z, models.sensor_params, state.mean[slot : slot + 2])
-    state.points[slot], state.points[slot + 1] = landmark[0], landmark[1]
+    state.belief.mean[0], state.belief.mean[1], state.belief.mean[2] = x, y, heading
+    models.invert(state.belief.mean[:3], z, models.sensor_params, state.belief.mean[slot : slot + 2])
+    state.belief.linearised_at[slot], state.belief.linearised_at[slot + 1] = landmark[0], landmark[1]
 
 
 class IdealEKFSLAM(EKFSLAM):
@@ -122,7 +122,7 @@ class IdealEKFSLAM(EKFSLAM):
         if truth is None or len(truth.times) == 0:
             raise InputError("the ideal filter needs the truth: give truth=…, or run a log that has one")
         self.truth, self.time = truth, float(truth.times[0])
-        self._belief.state.points[:3] = truth.poses[0]
+        self._belief.state.belief.linearised_at[:3] = truth.poses[0]
 
     def run(self, log: Log, progress: Progress = False) -> History:
         """As :meth:`EKFSLAM.run`; the truth is the log's, unless the filter has been given one."""
@@ -150,7 +150,7 @@ class IdealEKFSLAM(EKFSLAM):
         self._belief.reserve(0, len(ids))
         state = self._belief.state
         state.memory[:3] = self._true_pose(self.time + dt)
-        state.truth[: len(ids)] = self._true_landmarks(ids)
+        state.scratch.truth[: len(ids)] = self._true_landmarks(ids)
         super()._advance(u, dt, ids, z)
         self.time += dt
 

@@ -18,7 +18,7 @@ from slamkit.se2 import wrap_angle
 
 Array = NDArray[np.float64]
 
-# Within a scan the covariance is kept in the error δ of the points c = ``state.points`` (the means before the scan):
+# Within a scan the covariance is kept in the error δ of the points c = ``state.belief.linearised_at`` (the means before the scan):
 # δ = ξ + (J c) ξθ, a constant linear image of the invariant error ξ. Then H, G_x are those of first estimates, and
 # exp(ξ) moves a position y to c + R(ξθ)(y - c) + V(ξθ) δ, since V J ξθ = R - I. Standard coordinates differ from δ
 # by the shear T(y - c), so `shear` returns to them before the next prediction, which then costs O(D).
@@ -34,8 +34,8 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 @compiled("void(state)")
 def retract(state: Any) -> None:
     """X ← exp(ξ) X̂: rotate and move the robot and every landmark."""
-    mean, points, dx = state.mean, state.points, state.dx
-    D = state.size[ACTIVE]
+    mean, points, dx = state.belief.mean, state.belief.linearised_at, state.scratch.dx
+    D = state.belief.active
     a = dx[2]
     c, s = cos(a), sin(a)
     if abs(a) < 1e-4:
@@ -54,7 +54,7 @@ def retract(state: Any) -> None:
 @compiled("void(state, vector, matrix)")
 def report(state: Any, pose: Any, covariance: Any) -> None:
     """The pose's block in standard coordinates."""
-    cov, mean, points = state.cov, state.mean, state.points
+    cov, mean, points = state.belief.cov, state.belief.mean, state.belief.linearised_at
     e0, e1 = points[1] - mean[1], mean[0] - points[0]
     p02, p12, p22 = cov[2, 0], cov[2, 1], cov[2, 2]
     covariance[0, 0] = cov[0, 0] + 2.0 * e0 * p02 + e0 * e0 * p22
@@ -104,4 +104,4 @@ class InvariantEKFSLAM(EKFSLAM):
 
     def _place(self, x: Array) -> None:
         super()._place(x)
-        self._belief.state.points[: len(x)] = x
+        self._belief.state.belief.linearised_at[: len(x)] = x

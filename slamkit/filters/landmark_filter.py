@@ -246,7 +246,7 @@ class LandmarkFilter:
                     # A call is to take a while, but an interrupt is to be heard and progress to be seen.
                     stretch = 4 * stretch if time.perf_counter() - begun < LONG_CALL else max(1, stretch // 2)
                 self._name(log.landmark_ids, slot_of)
-                status = int(self._belief.state.size[STATUS])
+                status = int(self._belief.state.scratch.status)
                 if status == steps.DUE:
                     self._belief.tend()
                 elif status == steps.FULL:
@@ -343,7 +343,7 @@ class LandmarkFilter:
         The same numbers as filterpy's dense update, at O(r D²) instead of O(D³).
         """
         if z is None:
-            self._belief.state.size[ROWS] = 0
+            self._belief.state.last.rows = 0
             return
         x = self.x
         measured = np.atleast_1d(np.asarray(z, dtype=float))
@@ -357,7 +357,7 @@ class LandmarkFilter:
         y = _array("the residual", np.atleast_1d(np.asarray(residual(measured, z_hat), dtype=float)), (r,))
         self._settle()
         self._correct(H, y, noise)
-        self._belief.state.z[:r] = measured
+        self._belief.state.last.z[:r] = measured
         if self.snapshots:
             self._posterior = self.x, self.P
 
@@ -508,14 +508,14 @@ class LandmarkFilter:
     def F(self) -> Array:  # noqa: N802
         """Transition matrix (D, D) of the last prediction, formed when asked for."""
         F = np.eye(self.dim_x)
-        F[:3, :3] = self._belief.state.F
+        F[:3, :3] = self._belief.state.last.F
         return _frozen(F)
 
     @property
     def Q(self) -> Array:  # noqa: N802
         """Process noise (D, D) of the last prediction, formed when asked for."""
         Q = np.zeros((self.dim_x, self.dim_x))
-        Q[:3, :3] = self._belief.state.Q
+        Q[:3, :3] = self._belief.state.last.Q
         return _frozen(Q)
 
     @property
@@ -524,22 +524,22 @@ class LandmarkFilter:
 
     @property
     def _rows(self) -> int:
-        return int(self._belief.state.size[ROWS])
+        return int(self._belief.state.last.rows)
 
     @property
     def z(self) -> Array:
         """Measurement (r,) of the last update; of the last sighting, or of the whole scan where order is batch."""
-        return _frozen(np.array(self._belief.state.z[: self._rows]))
+        return _frozen(np.array(self._belief.state.last.z[: self._rows]))
 
     @property
     def y(self) -> Array:
         """Innovation (r,) of the last update."""
-        return _frozen(np.array(self._belief.state.y[: self._rows]))
+        return _frozen(np.array(self._belief.state.last.y[: self._rows]))
 
     @property
     def S(self) -> Array:  # noqa: N802
         """Innovation covariance (r, r) of the last update."""
-        return _frozen(np.array(self._belief.state.S[: self._rows, : self._rows]))
+        return _frozen(np.array(self._belief.state.last.S[: self._rows, : self._rows]))
 
     @property
     def SI(self) -> Array:  # noqa: N802
@@ -551,7 +551,7 @@ class LandmarkFilter:
         """Gain (D, r) of the last update; zero in the rows of landmarks that came after it."""
         s, rows = self._belief.state, self._rows
         w = np.delete(self._belief.gain_rows, slice(3, self.base), axis=1)
-        return _frozen(solve_triangular(s.L[:rows, :rows], w, lower=True, trans="T").T.copy())
+        return _frozen(solve_triangular(s.last.L[:rows, :rows], w, lower=True, trans="T").T.copy())
 
     @property
     def log_likelihood(self) -> float:
@@ -559,8 +559,8 @@ class LandmarkFilter:
         s, rows = self._belief.state, self._rows
         if rows == 0:
             return log(sys.float_info.min)
-        half_log_det = float(np.log(np.diag(s.L)[:rows]).sum())
-        return -0.5 * rows * log(2 * pi) - half_log_det - 0.5 * float(s.t[:rows] @ s.t[:rows])
+        half_log_det = float(np.log(np.diag(s.last.L)[:rows]).sum())
+        return -0.5 * rows * log(2 * pi) - half_log_det - 0.5 * float(s.last.t[:rows] @ s.last.t[:rows])
 
     @property
     def likelihood(self) -> float:
@@ -570,7 +570,7 @@ class LandmarkFilter:
     @property
     def mahalanobis(self) -> float:
         """√(yᵀS⁻¹y) of the last update."""
-        t = self._belief.state.t[: self._rows]
+        t = self._belief.state.last.t[: self._rows]
         return sqrt(float(t @ t))
 
     @property
@@ -649,7 +649,7 @@ class LandmarkFilter:
         if repeated:
             twice = next(i for n, i in enumerate(ids) if i in ids[:n])
             raise InputError(f"landmark {twice!r} occurs twice in one scan")
-        if len(ids) > len(belief.state.nis):
+        if len(ids) > len(belief.state.scratch.nis):
             belief.reserve(0, len(ids))
         try:
             slots, all_known = np.fromiter(map(belief.slots.__getitem__, ids), np.int64, len(ids)), True
@@ -713,11 +713,11 @@ class LandmarkFilter:
         if status == steps.BAD_MOTION:
             name = type(self.motion).__name__
             return ModelError(f"{name} gave a pose, F or Q that is not finite for u = {u} at pose {self.pose}{where}")
-        n = int(state.size[FAILING])
+        n = int(state.scratch.failing)
         if status == steps.BAD_SIGHTING:
             i, name = ids[n], type(self.sensor).__name__
             if i in self._belief.slots:
-                distance = float(np.hypot(*(self._belief.marginal([i])[0] - state.pose[:2])))
+                distance = float(np.hypot(*(self._belief.marginal([i])[0] - state.scratch.pose[:2])))
                 what = f"landmark {i!r} lies {distance:.3g} m from the robot"
             else:
                 what = f"landmark {i!r} was measured at {z[n]}"

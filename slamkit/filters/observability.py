@@ -13,7 +13,7 @@ from slamkit.filters.landmark_filter import PolicyFunctions
 
 # All lever arms are first estimates moved by one common vector -Δ, so that their differences stay what they were;
 # Δ is the least-squares choice over the robot and the landmarks of the scan, which is what the published linear
-# system solves. ``state.memory`` holds Δ and the position before the last prediction; ``state.points[:2]`` is
+# system solves. ``state.memory`` holds Δ and the position before the last prediction; ``state.belief.linearised_at[:2]`` is
 # q = p_{k|k-1} + Δ, so that l_first - q is the lever arm.
 
 
@@ -21,7 +21,7 @@ from slamkit.filters.landmark_filter import PolicyFunctions
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """F for a scan that sees nothing; `scan` moves the lever arm when it knows what is seen."""
     standard_motion(models, state, u, dt)
-    state.memory[2], state.memory[3] = state.mean[0], state.mean[1]
+    state.memory[2], state.memory[3] = state.belief.mean[0], state.belief.mean[1]
 
 
 @compiled("void(models, state, integers, flag)", generic=True)
@@ -29,7 +29,7 @@ def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
     """Choose Δ as the mean of q - p and of l_first - l̂ over the known landmarks of the scan."""
     if not moved:
         return
-    memory, points, mean = state.memory, state.points, state.mean
+    memory, points, mean = state.memory, state.belief.linearised_at, state.belief.mean
     tentative_x, tentative_y = points[0] - memory[2], points[1] - memory[3]
     x, y, n = tentative_x, tentative_y, 1
     for slot in slots:
@@ -43,10 +43,10 @@ def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
         move_lever(state, memory[0] - tentative_x, memory[1] - tentative_y)
 
 
-@compiled("void(state, real, real)", allocates=True)
+@compiled("void(state, real, real)")
 def move_lever(state: Any, dx: float, dy: float) -> None:
     """Replace F by T F, T = [I, J(dx, dy); 0 1], in the prediction already made: P ← T (P - Q) Tᵀ + Q; O(D)."""
-    F, Q, old, rest = state.F, state.Q, state.F.copy(), state.Q.copy()
+    F, Q, old, rest = state.last.F, state.last.Q, state.last.F.copy(), state.last.Q.copy()
     F[:, :] = 0.0
     F[0, 0] = F[1, 1] = F[2, 2] = 1.0
     F[0, 2], F[1, 2] = -dy, dx

@@ -13,7 +13,7 @@ from slamkit.filters.sigma_points import sensor as ukf_sensor
 from slamkit.filters.sigma_points import start as ukf_start
 from slamkit.filters.ukf import UKFSLAM
 
-# No measurement sees N = [I, J q; 0 1; I, J cᵢ …], where ``state.points`` holds q, the last predicted position, and the
+# No measurement sees N = [I, J q; 0 1; I, J cᵢ …], where ``state.belief.linearised_at`` holds q, the last predicted position, and the
 # cᵢ, the landmarks' first estimates. With H = [H_p h_θ H_l] on the pose and one landmark, H N = 0 reads
 #     H_p = -H_l,   h_θ = -(H_p J q + H_l J c) = -H_l J (c - q):
 # the landmark's columns, which the regression always has (a landmark is never known exactly), give the others.
@@ -24,7 +24,7 @@ from slamkit.filters.ukf import UKFSLAM
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """F = [I, J(p' - q); 0 1]."""
     ukf_motion(models, state, u, dt)
-    F, points, arrived = state.F, state.points, state.pose
+    F, points, arrived = state.last.F, state.belief.linearised_at, state.scratch.pose
     F[:, :] = 0.0
     F[0, 0] = F[1, 1] = F[2, 2] = 1.0
     F[0, 2], F[1, 2] = points[1] - arrived[1], arrived[0] - points[0]
@@ -34,7 +34,7 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
     """H = H_l [-I, -J(c - q), I]."""
     ukf_sensor(models, state, pose, landmark, slot, z, row)
-    H, H_l, points = state.H_pose, state.H_landmark, state.points
+    H, H_l, points = state.scratch.H_pose, state.scratch.H_landmark, state.belief.linearised_at
     dx, dy = points[slot] - points[0], points[slot + 1] - points[1]
     for r in range(row, row + z.shape[0]):
         H[r, 0], H[r, 1] = -H_l[r, 0], -H_l[r, 1]
@@ -45,7 +45,7 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
 def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """G = [I, J(l - q)], and c ← l."""
     ukf_start(models, state, slot, place, z)
-    G, points, mean = state.G_pose, state.points, state.mean
+    G, points, mean = state.scratch.G_pose, state.belief.linearised_at, state.belief.mean
     G[0, 0] = G[1, 1] = 1.0
     G[0, 1] = G[1, 0] = 0.0
     G[0, 2], G[1, 2] = points[1] - mean[slot + 1], mean[slot] - points[0]

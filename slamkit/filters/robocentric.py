@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 @compiled("void(state, vector)")
 def world_pose(state: Any, pose: Any) -> None:
     """pose ← a ∘ B⁻¹ ∘ r."""
-    mean, a = state.mean, state.memory[2:5]
+    mean, a = state.belief.mean, state.memory[2:5]
     c, s = cos(a[2] - mean[5]), sin(a[2] - mean[5])
     dx, dy = mean[0] - mean[3], mean[1] - mean[4]
     pose[0], pose[1] = a[0] + c * dx - s * dy, a[1] + s * dx + c * dy
@@ -49,18 +49,18 @@ def turn(M: Any, angle: float) -> None:
         M[i, 0], M[i, 1] = c * x - s * y, s * x + c * y
 
 
-@compiled("void(models, state, vector, real)", generic=True, allocates=True)
+@compiled("void(models, state, vector, real)", generic=True)
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """Move r; the model sees the world, for its noise may lie along the world's axes."""
-    mean, arrived, a = state.mean, state.pose, state.memory[2:5]
+    mean, arrived, a = state.belief.mean, state.scratch.pose, state.memory[2:5]
     pose = np.empty(3)
     world_pose(state, pose)
     models.move(pose, u, dt, models.motion_params, arrived)
-    models.motion_jacobians(pose, u, dt, models.motion_params, state.F, state.G)
+    models.motion_jacobians(pose, u, dt, models.motion_params, state.last.F, state.scratch.G)
     motion_noise(models, state, pose, u, dt)
     psi = a[2] - mean[5]
-    turn(state.F, -psi)
-    turn(state.Q, -psi)
+    turn(state.last.F, -psi)
+    turn(state.last.Q, -psi)
     state.memory[1] = psi
     c, s, x, y = cos(psi), sin(psi), arrived[0] - a[0], arrived[1] - a[1]
     arrived[0], arrived[1] = mean[3] + c * x + s * y, mean[4] + c * y - s * x
@@ -70,10 +70,10 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 @compiled("void(state)")
 def retract(state: Any) -> None:
     """x ← x + dx in this frame, and w, which is only read from now on, ← w Wᵀ: the gain in world coordinates."""
-    mean, dx, D = state.mean, state.dx, state.size[ACTIVE]
+    mean, dx, D = state.belief.mean, state.scratch.dx, state.belief.active
     c, s = cos(state.memory[4] - mean[5]), sin(state.memory[4] - mean[5])
-    for q in range(state.size[ROWS]):
-        row = state.w[q]
+    for q in range(state.last.rows):
+        row = state.last.w[q]
         for i in range(2, D // 2):
             k = 0 if i == 2 else 2 * i
             x, y = mean[k] - mean[3], mean[k + 1] - mean[4]
@@ -94,12 +94,12 @@ def compose(state: Any) -> None:
     l' = C(r)ᵀ(l - p_r), B' = r⁻¹ ∘ B; P' = A P Aᵀ with the rows C(r)ᵀ[-I, -J(l - p_r), I] of A: what r says is
     subtracted first, then the axes are turned.
     """
-    cov, mean, D = state.cov, state.mean, state.size[ACTIVE]
+    cov, mean, D = state.belief.cov, state.belief.mean, state.belief.active
     c, s = cos(mean[2]), sin(mean[2])
     # Row i of A before the turn is e_i - (a_i, b_i, lever_i) on r.
     gather(state, 0, 3)
-    g0, g1, g2 = state.gathered[0], state.gathered[1], state.gathered[2]
-    a, b, lever = state.gathered[3], state.gathered[4], state.dx
+    g0, g1, g2 = state.scratch.gathered[0], state.scratch.gathered[1], state.scratch.gathered[2]
+    a, b, lever = state.scratch.gathered[3], state.scratch.gathered[4], state.scratch.dx
     p00, p11, p22 = g0[0], g1[1], g2[2]
     p01, p02, p12 = g0[1], g0[2], g1[2]
     a[5], b[5], lever[5] = 0.0, 0.0, 1.0
@@ -143,14 +143,14 @@ def compose(state: Any) -> None:
     state.memory[0] = 0.0
 
 
-@compiled("void(state, vector, matrix)", allocates=True)
+@compiled("void(state, vector, matrix)")
 def report(state: Any, pose: Any, covariance: Any) -> None:
     """Compose if a scan has corrected the belief, for this ends a step; then the pose and W P Wᵀ."""
     if state.memory[0] != 0.0:
         compose(state)
-    cov, a = state.cov, state.memory[2:5]
+    cov, a = state.belief.cov, state.memory[2:5]
     world_pose(state, pose)
-    c, s = cos(a[2] - state.mean[5]), sin(a[2] - state.mean[5])
+    c, s = cos(a[2] - state.belief.mean[5]), sin(a[2] - state.belief.mean[5])
     W = np.zeros((3, 6))
     W[0, 0], W[0, 1], W[1, 0], W[1, 1] = c, -s, s, c
     W[0, 3], W[0, 4], W[1, 3], W[1, 4] = -c, s, -s, -c
@@ -289,7 +289,7 @@ class RobocentricEKFSLAM(EKFSLAM):
         cross = P @ H.T
         self._belief.gain_of(np.insert(cross, 3, np.zeros((3, 1)), axis=0), H @ cross + R, y)
         state, D = self._belief.state, self._belief.dim
-        w, dx = (np.delete(a, slice(3, 6), axis=-1) for a in (state.w[: len(y), :D], state.dx[:D]))
+        w, dx = (np.delete(a, slice(3, 6), axis=-1) for a in (state.last.w[: len(y), :D], state.scratch.dx[:D]))
         self._hold(x + dx, P - w.T @ w)
 
 

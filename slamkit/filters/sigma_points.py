@@ -99,11 +99,11 @@ def spread(memory: Any, n: int) -> float:
     return float(memory[0] * sqrt(n + memory[2]))
 
 
-@compiled("void(state, index, matrix)", allocates=True)
+@compiled("void(state, index, matrix)")
 def local_root(state: Any, slot: int, L: Any) -> None:
     """L ← root in robot axes of the covariance of the pose, and of the landmark at `slot` unless that is 0."""
     n = 5 if slot > 0 else 3
-    P, cov = np.empty((5, 5)), state.cov
+    P, cov = np.empty((5, 5)), state.belief.cov
     for i in range(3):
         for j in range(i + 1):
             P[i, j] = P[j, i] = cov[i, j]
@@ -112,8 +112,8 @@ def local_root(state: Any, slot: int, L: Any) -> None:
             P[3 + a, j] = P[j, 3 + a] = cov[slot + a, j]
         for b in range(a + 1):
             P[3 + a, 3 + b] = P[3 + b, 3 + a] = cov[slot + a, slot + b]
-    turn_rows(P, n, -state.mean[2])
-    turn_columns(P, n, n, -state.mean[2])
+    turn_rows(P, n, -state.belief.mean[2])
+    turn_columns(P, n, n, -state.belief.mean[2])
     root(P, L, n, PROBE)
 
 
@@ -139,7 +139,7 @@ def turn_columns(M: Any, rows: int, n: int, angle: float) -> None:
             M[i, k], M[i, k + 1] = c * x - s * y, s * x + c * y
 
 
-@compiled("void(models, state, vector, real, index)", generic=True, allocates=True)
+@compiled("void(models, state, vector, real, index)", generic=True)
 def regress_motion(models: Any, state: Any, u: Any, dt: float, total: int) -> None:
     """Regression over sigma points of the pose and the control's noise: F = P_x'x P_xx⁻¹, Q the rest.
 
@@ -147,13 +147,13 @@ def regress_motion(models: Any, state: Any, u: Any, dt: float, total: int) -> No
     """
     m = u.shape[0]
     n = 3 + m
-    pose, params = state.mean[:3], models.motion_params
+    pose, params = state.belief.mean[:3], models.motion_params
     L, columns, L_u = np.zeros((5, 5)), np.empty((3, 3)), np.empty((m, m))
     local_root(state, 0, L)
     copy(L, columns)
     turn_rows(columns, 3, pose[2])
-    models.control_noise(u, dt, params, state.sigma_u)
-    root(state.sigma_u, L_u, m, 0.0)
+    models.control_noise(u, dt, params, state.scratch.sigma_u)
+    root(state.scratch.sigma_u, L_u, m, 0.0)
     s = spread(state.memory, total)
     centre, moved, point, noisy = np.empty(3), np.empty(3), np.empty(3), np.empty(m)
     models.move(pose, u, dt, params, centre)
@@ -170,18 +170,18 @@ def regress_motion(models: Any, state: Any, u: Any, dt: float, total: int) -> No
             out[0], out[1], out[2] = moved[0] - centre[0], moved[1] - centre[1], wrap_angle(moved[2] - centre[2])
     half, error, mean = np.empty((3, n)), np.empty((3, 3)), np.empty(3)
     moments(plus, minus, half, error, mean, state.memory, 3, n, total)
-    unwhiten(half, L, state.F, 3, 3)
-    turn_columns(state.F, 3, 3, pose[2])
+    unwhiten(half, L, state.last.F, 3, 3)
+    turn_columns(state.last.F, 3, 3, pose[2])
     for j in range(3):
-        state.pose[j] = centre[j] + mean[j]
-    state.pose[2] = wrap_angle(state.pose[2])
+        state.scratch.pose[j] = centre[j] + mean[j]
+    state.scratch.pose[2] = wrap_angle(state.scratch.pose[2])
     # The regression explains what comes from the pose; the control's share of the spread is noise.
-    models.pose_noise(pose, u, dt, params, state.Q)
+    models.pose_noise(pose, u, dt, params, state.last.Q)
     for i in range(3):
         for j in range(3):
-            state.Q[i, j] += error[i, j]
+            state.last.Q[i, j] += error[i, j]
             for a in range(3, n):
-                state.Q[i, j] += half[i, a] * half[j, a]
+                state.last.Q[i, j] += half[i, a] * half[j, a]
 
 
 @compiled("void(models, state, vector, real)", generic=True)
@@ -190,7 +190,7 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     regress_motion(models, state, u, dt, 3 + u.shape[0])
 
 
-@compiled("void(models, state, vector, vector, index, vector, index)", generic=True, allocates=True)
+@compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
 def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
     """Regression over sigma points of the pose and this landmark: H = P_xzᵀ P⁻¹, its error added to the noise."""
     k = z.shape[0]
@@ -218,21 +218,21 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     turn_columns(out, k, 5, pose[2])
     for r in range(k):
         for i in range(3):
-            state.H_pose[row + r, i] = out[r, i]
+            state.scratch.H_pose[row + r, i] = out[r, i]
         for i in range(2):
-            state.H_landmark[row + r, i] = out[r, 3 + i]
-        state.z_hat[r] = at_mean[r] + mean[r]
+            state.scratch.H_landmark[row + r, i] = out[r, 3 + i]
+        state.scratch.z_hat[r] = at_mean[r] + mean[r]
         for q in range(k):
-            state.noise[row + r, q] = models.R[r, q] + error[r, q]
-    models.residual(z, state.z_hat, params, state.y[row : row + k])
+            state.scratch.noise[row + r, q] = models.R[r, q] + error[r, q]
+    models.residual(z, state.scratch.z_hat, params, state.last.y[row : row + k])
 
 
-@compiled("void(models, state, index, vector, index)", generic=True, allocates=True)
+@compiled("void(models, state, index, vector, index)", generic=True)
 def regress_start(models: Any, state: Any, slot: int, z: Any, total: int) -> None:
     """Regression over sigma points of the pose and the measurement's noise, among those of `total` dimensions."""
     k = z.shape[0]
     n = 3 + k
-    pose, params = state.mean[:3], models.sensor_params
+    pose, params = state.belief.mean[:3], models.sensor_params
     L, columns, L_z = np.zeros((5, 5)), np.empty((3, 3)), np.empty((k, k))
     local_root(state, 0, L)
     copy(L, columns)
@@ -254,14 +254,14 @@ def regress_start(models: Any, state: Any, slot: int, z: Any, total: int) -> Non
                 out[j] -= centre[j]
     half, error, mean = np.empty((2, n)), np.empty((2, 2)), np.empty(2)
     moments(plus, minus, half, error, mean, state.memory, 2, n, total)
-    unwhiten(half, L, state.G_pose, 2, 3)
-    turn_columns(state.G_pose, 2, 3, pose[2])
+    unwhiten(half, L, state.scratch.G_pose, 2, 3)
+    turn_columns(state.scratch.G_pose, 2, 3, pose[2])
     for i in range(2):
-        state.mean[slot + i] = centre[i] + mean[i]
+        state.belief.mean[slot + i] = centre[i] + mean[i]
         for j in range(2):
-            state.block[i, j] = error[i, j]
+            state.scratch.block[i, j] = error[i, j]
             for a in range(3, n):
-                state.block[i, j] += half[i, a] * half[j, a]
+                state.scratch.block[i, j] += half[i, a] * half[j, a]
 
 
 @compiled("void(models, state, index, index, vector)", generic=True)
@@ -276,16 +276,16 @@ def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
 @compiled("void(models, state, vector, real)", generic=True)
 def whole_motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """Sigma points of the whole state and the control's noise; only those of the pose move anything."""
-    regress_motion(models, state, u, dt, state.size[ACTIVE] + u.shape[0])
+    regress_motion(models, state, u, dt, state.belief.active + u.shape[0])
 
 
 @compiled("void(models, state, index, index, vector)", generic=True)
 def whole_start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """Sigma points of the whole state and the measurement's noise, likewise."""
-    regress_start(models, state, slot, z, state.size[ACTIVE] + z.shape[0])
+    regress_start(models, state, slot, z, state.belief.active + z.shape[0])
 
 
-@compiled("void(matrix, real, index, real, matrix)", allocates=True)
+@compiled("void(matrix, real, index, real, matrix)")
 def whole_columns(P: Any, heading: float, count: int, floor: float, C: Any) -> None:
     """First `count` columns of C (D, D) ← T chol(Tᵀ P T), pivots not below `floor`; the others mean nothing.
 
@@ -312,20 +312,20 @@ def whole_columns(P: Any, heading: float, count: int, floor: float, C: Any) -> N
     turn_rows(C, D, heading)
 
 
-@compiled("index(models, state, index)", generic=True, allocates=True)
+@compiled("index(models, state, index)", generic=True)
 def regress(models: Any, state: Any, n: int) -> int:
     """y, S and w ← the cross-covariance, by regression of n sightings over the whole state; how many were finite.
 
     With h = half · C⁻¹ + noise: S = half halfᵀ + error + R, w = half Cᵀ. Columns after those of the last landmark in
     sight move nothing that is in sight.
     """
-    k, D, mean, params = models.R.shape[0], state.size[ACTIVE], state.mean, models.sensor_params
-    slots, order, z, y, S, w = state.slots, state.order, state.z, state.y, state.S, state.w
+    k, D, mean, params = models.R.shape[0], state.belief.active, state.belief.mean, models.sensor_params
+    slots, order, z, y, S, w = state.scratch.slots, state.scratch.order, state.last.z, state.last.y, state.last.S, state.last.w
     rows, count = n * k, 3
     for j in range(n):
         count = max(count, slots[j] + 2)
     C = np.empty((D, D))
-    whole_columns(state.cov, mean[2], count, 0.0, C)
+    whole_columns(state.belief.cov, mean[2], count, 0.0, C)
     s = spread(state.memory, D)
     centre, shift, predicted, point = np.empty(rows), np.empty(rows), np.empty(k), np.empty(5)
     plus, minus = np.zeros((count, rows)), np.zeros((count, rows))
@@ -350,8 +350,8 @@ def regress(models: Any, state: Any, n: int) -> int:
     for j in range(n):
         first = j * k
         for r in range(k):
-            state.z_hat[r] = centre[first + r] + shift[first + r]
-        models.residual(z[first : first + k], state.z_hat, params, y[first : first + k])
+            state.scratch.z_hat[r] = centre[first + r] + shift[first + r]
+        models.residual(z[first : first + k], state.scratch.z_hat, params, y[first : first + k])
         if is_finite(y[first : first + k]):
             if kept < j:
                 slots[kept], order[kept] = slots[j], order[j]
@@ -378,7 +378,7 @@ def regress(models: Any, state: Any, n: int) -> int:
 
 @compiled("index(policy, models, state, index)", generic=True)
 def whole_correct(policy: Any, models: Any, state: Any, n: int) -> Any:
-    """One update by the n sightings in ``state.slots`` and ``state.z``, stacked with what their errors share.
+    """One update by the n sightings in ``state.scratch.slots`` and ``state.last.z``, stacked with what their errors share.
 
     Those beyond the gate, or that gave no finite numbers, are left out and the rest is reckoned anew.
     """
@@ -395,8 +395,8 @@ def whole_correct(policy: Any, models: Any, state: Any, n: int) -> Any:
     if kept < n:
         n = kept
         regress(models, state, n)
-    if not cholesky(state.S, state.L, 0, n * k):
+    if not cholesky(state.last.S, state.last.L, 0, n * k):
         return NOT_DEFINITE
-    forward(state.L, state.y, state.t, 0, n * k)
+    forward(state.last.L, state.last.y, state.last.t, 0, n * k)
     whiten(state, n * k)
     return settle(policy, state, n, k)

@@ -182,7 +182,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
     def _columns(self, floor: float = 0.0) -> Array:
         """Root (D, D) of P, taken in robot axes; a floor makes it invertible, for a regression and nothing else."""
         C = np.empty((self.dim_x, self.dim_x))
-        whole_columns(np.ascontiguousarray(self._belief.covariance), self._belief.state.mean[2], self.dim_x, floor, C)
+        whole_columns(np.ascontiguousarray(self._belief.covariance), self._belief.state.belief.mean[2], self.dim_x, floor, C)
         return C
 
     def _matrix(self, f: Callable[[Array], Array], subtract: Callable[[Any, Any], Array]) -> tuple[Array, Fit]:

@@ -15,7 +15,8 @@ from llvmlite.binding import get_host_cpu_features
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-from slamkit.compiled import TILE, UNROLLED
+from slamkit.compiled import UNROLLED
+from slamkit.compiled.tables import TILE
 
 WIDTH = 4  #: doubles of one vector; arrays must have room up to a multiple of it
 
