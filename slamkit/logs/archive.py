@@ -222,7 +222,7 @@ def _members(archive: zipfile.ZipFile, size: int) -> dict[str, _Member]:
     for info in infos:
         name = info.filename.removesuffix(".npy")
         if name == info.filename or name in members:
-            raise InputError(f"it holds {info.filename} {'twice' if name in members else ', which is not an array'}")
+            raise InputError(f"it holds {info.filename}{' twice' if name in members else ', which is not an array'}")
         if info.compress_type != zipfile.ZIP_STORED or info.compress_size != info.file_size:
             raise InputError(f"{info.filename} is compressed; slamkit writes arrays as they are")
         with archive.open(info) as member:
