@@ -117,10 +117,12 @@ def _read_header(
     if not fields:
         raise LogFileError(f"{name}: the file is empty, expected the header {expected}")
     if not known(tuple(fields)):
-        other = _other_delimiter(fields, known) if delimiter == "," else None
-        hint = f": is the delimiter {other!r}? expected ','" if other else ""
         given = ",".join(fields)
-        raise LogFileError(f"{name}:{line}: header is {given!r}, expected {expected}{hint}")
+        other = _other_delimiter(fields, known) if delimiter == "," else None
+        if other:
+            hint = f"is the delimiter {other!r}? expected ','"
+            raise LogFileError(f"{name}:{line}: one column {given!r}, expected {expected}: {hint}")
+        raise LogFileError(f"{name}:{line}: header is {given!r}, expected {expected}")
     return line, tuple(fields)
 
 
