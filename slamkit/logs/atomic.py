@@ -129,7 +129,7 @@ def _remove_stale(folder: Path, names: Iterable[str]) -> None:
     except OSError:  # the caller's own attempt to write says what is wrong
         return
     for entry in entries:
-        match = _NAME.fullmatch(entry)
+        match = _NAME.fullmatch(entry) if entry.endswith(".tmp") else None
         if match and match["target"] in targets and entry not in pending:
             with suppress(OSError):
                 if fcntl is None:  # Windows refuses to remove a file that a writer has open
