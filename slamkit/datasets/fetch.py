@@ -1,34 +1,21 @@
-"""Download of published data sets; nothing is downloaded but by a call of :func:`fetch`."""
+"""Download of published data sets. Only a call of :func:`fetch` downloads anything."""
 
 from __future__ import annotations
 
 import os
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from ftplib import Error as FTPError
 from operator import index
 from pathlib import Path
 from typing import BinaryIO
 from urllib.parse import urlsplit
 
-from slamkit.datasets import mrclam
+from slamkit.datasets.dataset import Source
+from slamkit.datasets.registry import DATASETS
 from slamkit.errors import InputError, LogFileError
 
-TIMEOUT = 30  #: how long a silent server is waited for [s]
-
-
-@dataclass(frozen=True)
-class _Source:
-    base_url: str
-    file: str  # with {number}
-    numbers: range
-    check: Callable[[Path], None]
-
-
-_SOURCES = {
-    "mrclam": _Source("ftp://asrl3.utias.utoronto.ca/MRCLAM", "MRCLAM{number}.zip", range(1, 10), mrclam.check_zip)
-}
+TIMEOUT = 30  #: how long to wait for a silent server [s]
 
 
 def fetch(
@@ -41,40 +28,41 @@ def fetch(
 ) -> Path:
     """Download one set, or find it where an earlier call put it.
 
-    The publishers give no hashes, so none can be compared. What is checked instead, after a download and for a file
-    that is there already: it is a whole zip, every member fits its checksum, and the files of a set are in it.
-    The file appears under its name only after that; a broken one that is there is replaced.
+    The publishers give no hashes to compare. Instead, a download and a file that is already there are checked: the
+    zip is complete, every member fits its checksum, and the files of a set are in it. The file gets its name only
+    after that. A damaged file that is already there is replaced.
 
     Parameters
     ----------
-    name : {"mrclam"}
-        Which data set.
+    name : str
+        Which data set: a name in :data:`slamkit.datasets.DATASETS` that has a source, such as ``"mrclam"``.
     number : int
-        Which of its sets: 1 to 9.
+        Which of its sets; MRCLAM has 1 to 9.
     folder : str or path-like, optional
-        Where to put the file; made where it does not exist. By default the user's cache folder for slamkit.
+        Where to put the file; created if necessary. By default the user's cache folder for slamkit.
     base_url : str, optional
         Another address (ftp, http or https) of the folder with the sets' files. By default the official one, for
         MRCLAM ``ftp://asrl3.utias.utoronto.ca/MRCLAM``.
     progress : callable, optional
-        Called with the number of bytes received so far, each time some arrive.
+        Called with the number of bytes received so far, whenever some arrive.
 
     Returns
     -------
     Path
-        The set's zip; :func:`slamkit.datasets.mrclam.load` reads it as it is.
+        The file of the set; ``DATASETS[name].read(path, …)`` reads it.
 
     Raises
     ------
     InputError
         An unknown name, number or kind of address.
     LogFileError
-        The file cannot be had: no connection, no such file, an interrupted transfer, or what came is not the set.
-        No partial file stays behind.
+        There is no connection or no such file, the transfer is interrupted, or the server sent something else. No
+        partial file remains.
     """
-    if name not in _SOURCES:
-        raise InputError(f"data set is {name!r}, expected one of: {', '.join(_SOURCES)}")
-    source = _SOURCES[name]
+    sources = {name: data_set.source for name, data_set in DATASETS.items() if data_set.source is not None}
+    if name not in sources:
+        raise InputError(f"data set is {name!r}, expected one of: {', '.join(sources)}")
+    source = sources[name]
     try:
         known = not isinstance(number, bool) and index(number) in source.numbers
     except TypeError:
@@ -86,7 +74,7 @@ def fetch(
     if not _is_address(url):
         raise InputError(f"base_url is {base_url!r}, expected an address such as {source.base_url} (ftp, http, https)")
 
-    import pooch  # here, because it is slow to import and most runs download nothing
+    import pooch  # here, because it is slow to import and rarely needed
 
     place = Path(pooch.os_cache("slamkit") / name if folder is None else folder).expanduser()
     final = place / file
@@ -110,12 +98,12 @@ def _is_address(url: str) -> bool:
     parts = urlsplit(url)
     try:
         return parts.scheme in ("ftp", "http", "https") and bool(parts.hostname) and parts.port != 0
-    except ValueError:  # a port that is no number
+    except ValueError:  # the port is not a number
         return False
 
 
 class _Counted:
-    """A stream to write to that says how much has been written."""
+    """A stream to write to that reports how much has been written."""
 
     def __init__(self, stream: BinaryIO, progress: Callable[[int], object] | None) -> None:
         self._stream, self._progress, self._received = stream, progress, 0
@@ -137,14 +125,14 @@ def _download(url: str, stream: _Counted) -> None:
     parts = urlsplit(url)
     chunk = 1 << 16
     if parts.scheme == "ftp":
-        # The port goes beside the address: pooch takes everything before the path for the host's name.
+        # The port is a separate argument: pooch reads everything before the path as the name of the host.
         downloader = FTPDownloader(port=parts.port or 21, timeout=TIMEOUT, chunk_size=chunk)
         downloader(f"ftp://{parts.hostname}{parts.path}", stream, None)
     else:
         HTTPDownloader(timeout=TIMEOUT, chunk_size=chunk)(url, stream, None)
 
 
-def _is_whole(file: Path, source: _Source) -> bool:
+def _is_whole(file: Path, source: Source) -> bool:
     try:
         source.check(file)
     except LogFileError:
@@ -152,7 +140,7 @@ def _is_whole(file: Path, source: _Source) -> bool:
     return True
 
 
-def _check_download(part: Path, url: str, source: _Source) -> None:
+def _check_download(part: Path, url: str, source: Source) -> None:
     try:
         source.check(part)
     except LogFileError as error:
