@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from slamkit.compiled import ACTIVE, compiled, part
+from slamkit.compiled import compiled, rows_of
 from slamkit.se2 import wrap_angle
 
 
@@ -41,8 +41,8 @@ def add_control_noise(state: Any) -> None:
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """Linearise the motion at the current estimate."""
     pose, params = state.belief.mean[:3], models.motion_params
-    if models.drives:
-        models.drive(pose, u, dt, params, state.scratch.pose, state.last.F, state.scratch.G, state.scratch.sigma_u, state.last.Q)
+    if models.predicts_all:
+        models.predict_all(pose, u, dt, params, state.scratch.pose, state.last.F, state.scratch.G, state.scratch.sigma_u, state.last.Q)
         add_control_noise(state)
     else:
         models.move(pose, u, dt, params, state.scratch.pose)
@@ -57,8 +57,8 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     k = z.shape[0]
     y, H_pose, H_landmark = rows_of(state.last.y, row, k), rows_of(state.scratch.H_pose, row, k), rows_of(state.scratch.H_landmark, row, k)
     params, z_hat = models.sensor_params, state.scratch.z_hat
-    if models.sights:
-        models.sight(pose, landmark, z, params, z_hat, y, H_pose, H_landmark)
+    if models.linearises:
+        models.linearise(pose, landmark, z, params, z_hat, y, H_pose, H_landmark)
     else:
         models.predict(pose, landmark, params, z_hat)
         models.residual(z, z_hat, params, y)
@@ -70,7 +70,7 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
 
 
 @compiled("void(models, state, index, index, vector)", generic=True)
-def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
+def initialise(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """New landmark l = g(x, z): its mean, G_pose = ∂g/∂x, and the block's own noise G_z R G_zᵀ."""
     G, block = state.scratch.G_z, state.scratch.block
     k = z.shape[0]
@@ -88,7 +88,7 @@ def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
 
 
 @compiled("void(models, state, integers, flag)", generic=True)
-def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
+def prepare_scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
     """Nothing to prepare."""
 
 

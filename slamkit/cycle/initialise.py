@@ -1,0 +1,31 @@
+"""Initialise: start a landmark from its first sighting."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+from slamkit.belief.dense import augment
+from slamkit.compiled import compiled
+
+
+@compiled("index(policy, models, state, index, vector)", generic=True)
+def initialise(policy: Any, models: Any, state: Any, place: int, z: Any) -> Any:
+    """Start a landmark from its first sighting; gives its slot. What no belief can hold is counted as non-finite."""
+    slot = state.belief.active
+    policy.initialise(models, state, slot, place, z)
+    G, block, mean = state.scratch.G_pose, state.scratch.block, state.belief.mean
+    total = mean[slot] + mean[slot + 1] + block[0, 0] + block[0, 1] + block[1, 1]
+    for i in range(2):
+        total += G[i, 0] + G[i, 1] + G[i, 2]
+    # Rounding may leave the determinant of a block of rank one just below zero.
+    least = -1e-9 * block[0, 0] * block[1, 1]
+    if not (
+        isfinite(total)
+        and block[0, 0] >= 0.0
+        and block[1, 1] >= 0.0
+        and block[0, 0] * block[1, 1] - block[0, 1] * block[1, 0] >= least
+    ):
+        state.scratch.non_finite += 1
+    augment(state, slot)
+    return slot
