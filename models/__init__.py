@@ -1,8 +1,11 @@
 """The pluggable models: how a robot moves, and what a sensor measures of a landmark."""
 
+from slamkit.models.ackermann import Ackermann
+from slamkit.models.bearing import Bearing
 from slamkit.models.conformance import check_model
 from slamkit.models.numeric_jacobian import numeric_jacobian
 from slamkit.models.odometry import Odometry
+from slamkit.models.range import Range
 from slamkit.models.range_bearing import RangeBearing
 from slamkit.models.registry import MOTIONS, SENSORS, model_from_dict, model_to_dict, parameters_of
 from slamkit.models.relative_position import RelativePosition
@@ -11,8 +14,11 @@ from slamkit.models.unicycle import EulerUnicycle, Unicycle
 __all__ = [
     "MOTIONS",
     "SENSORS",
+    "Ackermann",
+    "Bearing",
     "EulerUnicycle",
     "Odometry",
+    "Range",
     "RangeBearing",
     "RelativePosition",
     "Unicycle",

@@ -26,6 +26,10 @@ SENSOR_JACOBIANS = INVERSE_JACOBIANS = "void(vector, vector, vector, matrix, mat
 LINEARISE = "void(vector, vector, vector, vector, vector, vector, matrix, matrix)"
 
 
+#: A sensor that measures a bearing or a range refuses a landmark closer than this [m].
+SMALLEST_RANGE = 1e-6
+
+
 @compiled(POSE_NOISE)
 def no_pose_noise(pose: Any, u: Any, dt: float, params: Any, out: Any) -> None:
     """Zero: all of the noise is in the control."""
@@ -64,6 +68,13 @@ def frozen(a: Array) -> Array:
     """The same array, made read-only, so that nobody changes a frozen model through it."""
     a.flags.writeable = False
     return a
+
+
+def refuse_negative_ranges(z: ArrayLike) -> None:
+    """Raise an InputError that names the first measurement (..., k) whose first number, the range, is negative."""
+    ranges = np.asarray(z, dtype=float)[..., 0]
+    if np.any(ranges < 0):
+        raise InputError(f"range is {np.extract(ranges < 0, ranges)[0]} m, expected a range ≥ 0")
 
 
 def parameter(unit: str, typical: float) -> dict[str, Any]:
@@ -122,7 +133,7 @@ class CompiledMotion(_Value):
 
 
 class CompiledSensor(_Value):
-    """Methods of :class:`slamkit.protocols.SensorModel` on top of five compiled functions.
+    """Methods of a sensor without an inverse on top of three compiled functions.
 
     A subclass sets the class attribute `functions` and the properties `params` and `R`.
     """
@@ -160,9 +171,14 @@ class CompiledSensor(_Value):
         self.functions.residual(vector("z", z, k), vector("z_hat", z_hat, k), self.params, out)
         return out
 
+
+class InvertibleSensor(CompiledSensor):
+    """Methods of :class:`slamkit.protocols.SensorModel` on top of five compiled functions."""
+
     def invert(self, pose: ArrayLike, z: ArrayLike) -> Array:
         """The landmark (2,) that is measured as z (k,) from this pose (3,)."""
         out = np.empty(2)
+        assert self.functions.invert is not None
         self.functions.invert(vector("pose", pose, 3), vector("z", z, len(self.R)), self.params, out)
         return out
 
@@ -170,5 +186,6 @@ class CompiledSensor(_Value):
         """∂invert/∂pose (2, 3) and ∂invert/∂z (2, k)."""
         k = len(self.R)
         G_pose, G_z = np.empty((2, 3)), np.empty((2, k))
+        assert self.functions.inverse_jacobians is not None
         self.functions.inverse_jacobians(vector("pose", pose, 3), vector("z", z, k), self.params, G_pose, G_z)
         return G_pose, G_z

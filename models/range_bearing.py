@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from slamkit.arrays import Array
 from slamkit.compiled import compiled
-from slamkit.errors import InputError
 from slamkit.models._base import (
     INVERSE_JACOBIANS,
     INVERT,
@@ -24,16 +23,15 @@ from slamkit.models._base import (
     PREDICT,
     RESIDUAL,
     SENSOR_JACOBIANS,
-    CompiledSensor,
+    SMALLEST_RANGE,
+    InvertibleSensor,
     frozen,
     noise_parameter,
     parameter,
+    refuse_negative_ranges,
 )
 from slamkit.protocols import SensorFunctions
 from slamkit.se2 import wrap_angle
-
-#: A landmark closer than this [m] has no bearing.
-SMALLEST_RANGE = 1e-6
 
 
 @compiled(PREDICT)
@@ -116,7 +114,7 @@ def range_bearing_linearise(
 
 
 @dataclass(frozen=True)
-class RangeBearing(CompiledSensor):
+class RangeBearing(InvertibleSensor):
     """Range and bearing: z = (r [m], β [rad]), β counter-clockwise from the robot's x axis.
 
     A measured range of zero is valid for a known landmark, but cannot initialise a new one. A landmark closer than
@@ -163,6 +161,4 @@ class RangeBearing(CompiledSensor):
 
     def validate(self, z: ArrayLike) -> None:
         """Raise an InputError that names the first measurement (..., 2) with a negative range."""
-        ranges = np.asarray(z, dtype=float)[..., 0]
-        if np.any(ranges < 0):
-            raise InputError(f"range is {np.extract(ranges < 0, ranges)[0]} m, expected a range ≥ 0")
+        refuse_negative_ranges(z)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from slamkit.errors import InputError
+from slamkit.models.ackermann import Ackermann
 from slamkit.models.odometry import Odometry
 from slamkit.models.range_bearing import RangeBearing
 from slamkit.models.relative_position import RelativePosition
@@ -38,6 +39,7 @@ MOTIONS: Registry[Any] = Registry(
         "unicycle": Unicycle,
         "euler": EulerUnicycle,
         "odometry": Odometry,
+        "ackermann": Ackermann,
     },
     _check(MotionModel, "motion"),
 )

@@ -22,7 +22,7 @@ from slamkit.models._base import (
     PREDICT,
     RESIDUAL,
     SENSOR_JACOBIANS,
-    CompiledSensor,
+    InvertibleSensor,
     frozen,
     noise_parameter,
     parameter,
@@ -99,7 +99,7 @@ def relative_position_linearise(
 
 
 @dataclass(frozen=True)
-class RelativePosition(CompiledSensor):
+class RelativePosition(InvertibleSensor):
     """The landmark's position in robot axes: z = Cᵀ(l - p) [m, m]. It is defined everywhere, even at range zero.
 
     Parameters

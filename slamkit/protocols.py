@@ -97,8 +97,10 @@ class SensorFunctions(NamedTuple):
     predict: Callable[..., None]  #: (pose, landmark, params, out (k,))
     jacobians: Callable[..., None]  #: (pose, landmark, params, H_pose (k, 3), H_landmark (k, 2))
     residual: Callable[..., None]  #: (z, z_hat, params, out (k,))
-    invert: Callable[..., None]  #: (pose, z, params, out (2,))
-    inverse_jacobians: Callable[..., None]  #: (pose, z, params, G_pose (2, 3), G_z (2, k))
+    #: None if the sensor has no inverse, else (pose, z, params, out (2,))
+    invert: Callable[..., None] | None = None
+    #: None if the sensor has no inverse, else (pose, z, params, G_pose (2, 3), G_z (2, k))
+    inverse_jacobians: Callable[..., None] | None = None
     #: Optional: a fused version of `predict`, `residual` and `jacobians`, for speed.
     #: (pose, landmark, z, params, z_hat (k,), residual (k,), H_pose (k, 3), H_landmark (k, 2))
     linearise: Callable[..., None] | None = None

@@ -9,10 +9,10 @@ from typing import Any
 import mpmath  # type: ignore[import-untyped]
 import numpy as np
 import sympy  # type: ignore[import-untyped]
-from model_examples import CONTROL_DIM
+from model_examples import CONTROL_DIM, VICTORIA_PARK
 
 from slamkit.arrays import Array
-from slamkit.models import EulerUnicycle, RangeBearing, Unicycle
+from slamkit.models import Ackermann, EulerUnicycle, RangeBearing, Unicycle
 
 
 @cache
@@ -20,11 +20,19 @@ def symbolic(model: Any) -> tuple[Callable[..., Any], ...]:
     """Value and Jacobians, derived by SymPy from each model's definition, as functions of 60 digits."""
     x, y, t, a, b, c, dt = symbols = sympy.symbols("x y theta a b c dt", real=True)
     if model in CONTROL_DIM:
-        if model is Unicycle:  # the integral of the body's velocity along the arc
-            tau = sympy.Symbol("tau", real=True)
-            path = [sympy.integrate(a * f(t + b * tau), (tau, 0, dt), conds="none") for f in (sympy.cos, sympy.sin)]
-            path = [p.args[0][0] if isinstance(p, sympy.Piecewise) else p for p in path]
-            value = sympy.Matrix([x + path[0], y + path[1], t + b * dt])
+        tau = sympy.Symbol("tau", real=True)
+        # the integrals of cos θ and sin θ along the arc with the turn rate b
+        path = [sympy.integrate(f(t + b * tau), (tau, 0, dt), conds="none") for f in (sympy.cos, sympy.sin)]
+        path = [p.args[0][0] if isinstance(p, sympy.Piecewise) else p for p in path]
+        if model is Unicycle:
+            value = sympy.Matrix([x + a * path[0], y + a * path[1], t + b * dt])
+        elif model is Ackermann:
+            L, H, ahead, left = (sympy.Rational(str(n)) for n in VICTORIA_PARK)
+            speed = a / (1 - sympy.tan(b) * H / L)
+            omega = speed * sympy.tan(b) / L
+            w_x, w_y = speed - omega * left, omega * ahead
+            c_path, s_path = (p.subs(b, omega) for p in path)
+            value = sympy.Matrix([x + w_x * c_path - w_y * s_path, y + w_x * s_path + w_y * c_path, t + omega * dt])
         elif model is EulerUnicycle:
             value = sympy.Matrix([x + a * dt * sympy.cos(t), y + a * dt * sympy.sin(t), t + b * dt])
         else:

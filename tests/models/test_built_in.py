@@ -7,6 +7,7 @@ import dataclasses
 import itertools
 import pickle
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,19 +15,42 @@ import pytest
 from derivations import close, exact, symbolic
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from model_examples import CONTROL_DIM, MOTIONS, SENSORS, control, durations, headings, name, poses, rates, same_pose
+from model_examples import (
+    CONTROL_DIM,
+    CONTROLS,
+    MOTIONS,
+    SENSORS,
+    WITHOUT_INVERSE,
+    control,
+    durations,
+    headings,
+    name,
+    poses,
+    rates,
+    same_pose,
+)
 
 import slamkit.models
 from slamkit import se2
 from slamkit.arrays import Array
 from slamkit.errors import InputError
-from slamkit.models import EulerUnicycle, Odometry, RangeBearing, RelativePosition, Unicycle, check_model
+from slamkit.models import (
+    Ackermann,
+    Bearing,
+    EulerUnicycle,
+    Odometry,
+    Range,
+    RangeBearing,
+    RelativePosition,
+    Unicycle,
+    check_model,
+)
 from slamkit.protocols import MotionModel, SensorModel
 
 
-@pytest.mark.parametrize("model", [*MOTIONS, *SENSORS], ids=name)
+@pytest.mark.parametrize("model", [*MOTIONS, *SENSORS, *WITHOUT_INVERSE], ids=name)
 def test_built_in_models_keep_every_law(model: object) -> None:
-    check_model(model)
+    check_model(model, controls=CONTROLS.get(type(model)))
 
 
 @pytest.mark.parametrize("model", [*MOTIONS, *SENSORS], ids=name)
@@ -34,12 +58,12 @@ def test_built_in_models_fit_their_protocol(model: object) -> None:
     assert isinstance(model, MotionModel if type(model) in CONTROL_DIM else SensorModel)
 
 
-@pytest.mark.parametrize("model", [MOTIONS[0], MOTIONS[2], MOTIONS[3]], ids=name)
+@pytest.mark.parametrize("model", [MOTIONS[0], MOTIONS[2], MOTIONS[3], MOTIONS[5]], ids=name)
 def test_motion_equals_its_symbolic_derivation(model: Any) -> None:
     rng = np.random.default_rng(7)
     value, F, G = symbolic(type(model))  # type: ignore[arg-type]  # a class is hashable
     for _ in range(40):
-        pose, u, dt = rng.uniform(-3, 3, 3), rng.uniform(-2, 2, CONTROL_DIM[type(model)]), rng.uniform(0.1, 2)
+        pose, u, dt = rng.uniform(-3, 3, 3), control(model, tuple(rng.uniform(-2, 2, 3))), rng.uniform(0.1, 2)
         numbers = [*pose, *u, *([0.0] * (3 - len(u))), dt]
         expected = exact(value, *numbers)[:, 0]
         expected[2] = se2.wrap(expected[2])
@@ -102,7 +126,7 @@ def test_measurements_do_not_depend_on_the_frame(model: Any, T: Array, pose: Arr
     np.testing.assert_allclose(H_pose[:, :2], -H_landmark, atol=1e-12)
 
 
-@pytest.mark.parametrize("model", [*MOTIONS, *SENSORS], ids=name)
+@pytest.mark.parametrize("model", [*MOTIONS, *SENSORS, *WITHOUT_INVERSE], ids=name)
 def test_models_are_values(model: Any) -> None:
     again = type(model)(
         **{("pose_noise" if k == "pose_covariance" else k): v for k, v in dataclasses.asdict(model).items()}
@@ -123,14 +147,14 @@ def test_models_are_values(model: Any) -> None:
         assert other != model
 
 
-@pytest.mark.parametrize("model", [*MOTIONS, *SENSORS], ids=name)
+@pytest.mark.parametrize("model", [*MOTIONS, *SENSORS, *WITHOUT_INVERSE], ids=name)
 def test_a_repr_is_short_and_makes_the_model_again(model: Any) -> None:
-    assert eval(repr(model), vars(slamkit.models)) == model
-    assert len(repr(model)) < 70 or "pose_noise" in repr(model)
+    assert eval(repr(model), dict(vars(slamkit.models))) == model
+    assert len(repr(model)) < 110 or "pose_noise" in repr(model)
     assert "pose_noise=((0.0, 0.0, 0.0)," not in repr(model)
 
 
-@pytest.mark.parametrize("model", [*MOTIONS, *SENSORS], ids=name)
+@pytest.mark.parametrize("model", [*MOTIONS, *SENSORS, *WITHOUT_INVERSE], ids=name)
 @pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))])
 def test_a_copy_does_not_share_what_the_model_has_cached(model: Any, duplicate: Callable[[Any], Any]) -> None:
     twin = duplicate(model)
@@ -147,7 +171,7 @@ def test_models_of_two_kinds_are_never_equal() -> None:
     assert all(a != b for a, b in itertools.combinations(models, 2))
 
 
-@pytest.mark.parametrize("sensor", SENSORS, ids=name)
+@pytest.mark.parametrize("sensor", [*SENSORS, *WITHOUT_INVERSE], ids=name)
 def test_r_cannot_be_changed_behind_the_models_back(sensor: Any) -> None:
     with pytest.raises(ValueError, match="read-only"):
         sensor.R[0, 0] = 1.0
@@ -185,6 +209,9 @@ MAKERS: list[tuple[Callable[..., object], tuple[str, ...], bool]] = [
     (Odometry, ("alpha1", "alpha2", "alpha3", "alpha4"), True),
     (RangeBearing, ("sigma_range", "sigma_bearing"), False),
     (RelativePosition, ("sigma",), False),
+    (Bearing, ("sigma",), False),
+    (Range, ("sigma",), False),
+    (partial(Ackermann, wheelbase=2.0), ("sigma_v", "sigma_alpha"), True),
 ]
 
 
@@ -263,6 +290,10 @@ def test_what_is_not_finite_is_never_lost(position: int, bad: float) -> None:
         if position < len(u):
             u[position] = bad
             assert not np.all(np.isfinite(motion.move(np.zeros(3), u, 0.1)))
+    for sensor in WITHOUT_INVERSE:
+        # a range does not depend on the heading
+        assert np.all(np.isfinite(sensor.predict(pose, [4.0, 5.0]))) == (isinstance(sensor, Range) and position == 2)
+        assert not np.all(np.isfinite(sensor.residual([bad], [0.5])))
     for sensor in SENSORS:
         assert not np.all(np.isfinite(sensor.predict(pose, [4.0, 5.0])))
         assert not np.all(np.isfinite(sensor.invert(pose, [4.0, 0.5])))

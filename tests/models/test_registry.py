@@ -80,7 +80,7 @@ def test_typical_values_make_a_good_model(kind: Any) -> None:
     model = kind(*[typical for _, typical in parameters.values()])
     for name, (_, typical) in parameters.items():
         assert getattr(model, name) == typical
-    check_model(model)
+    check_model(model, controls=model_examples.CONTROLS.get(kind))
 
 
 def test_columns_identify_at_most_one_model() -> None:
