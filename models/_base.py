@@ -25,7 +25,6 @@ PREDICT = RESIDUAL = INVERT = "void(vector, vector, vector, vector)"
 SENSOR_JACOBIANS = INVERSE_JACOBIANS = "void(vector, vector, vector, matrix, matrix)"
 LINEARISE = "void(vector, vector, vector, vector, vector, vector, matrix, matrix)"
 
-
 #: A sensor that measures a bearing or a range refuses a landmark closer than this [m].
 SMALLEST_RANGE = 1e-6
 
@@ -83,10 +82,12 @@ def parameter(unit: str, typical: float) -> dict[str, Any]:
 
 
 class _Value:
-    """A model that is copied and pickled without what it has cached."""
+    """A model whose cached R stays read-only in copies."""
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("params", "R")}
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        if "R" in state:  # NumPy's copies are writable
+            frozen(state["R"])
 
 
 class CompiledMotion(_Value):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slamkit.arrays import Array
+from slamkit.arrays import Array, real_array
 from slamkit.errors import InputError, ModelError
 from slamkit.models.conformance_motion import check_motion
 from slamkit.models.conformance_report import Report
@@ -103,10 +103,7 @@ def _controls(model: object, controls: ArrayLike | None, rng: np.random.Generato
     if controls is None:
         hint = "" if m is not None else "; u was given length 2: set control_dim or give examples in `controls`"
         return rng.uniform(-2, 2, (12, 2 if m is None else int(m))), hint
-    try:
-        u = np.array(controls, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"controls must hold numbers in equal rows: {error}") from None
+    u = real_array("controls", controls)
     if u.ndim != 2 or u.size == 0 or not np.all(np.isfinite(u)):
         raise InputError(f"controls is {u}, expected a finite matrix with one control a row")
     if m is not None and u.shape[1] != m:

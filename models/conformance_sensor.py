@@ -31,7 +31,7 @@ def _sightings(rng: np.random.Generator) -> Iterator[tuple[Array, float, float]]
 
 def check_sensor(report: Report, rng: np.random.Generator) -> None:
     """Test the report's sensor model against all laws; those of the inverse only if it has one."""
-    invertible = any(hasattr(report.model, name) for name in INVERSE)
+    invertible = any(callable(getattr(report.model, name, None)) for name in INVERSE)
     k = _check_noise(report)
     if k is None:
         return

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from model_examples import PI
 from own_models import (
+    BearingAlone,
     Differential,
     Mounted,
     Polar,
@@ -22,7 +23,7 @@ from own_models import (
 )
 
 from slamkit.arrays import Array
-from slamkit.models import Unicycle
+from slamkit.models import Bearing, Range, Unicycle
 
 
 def breaks(law: str, *, alone: bool = True) -> Callable[[type], type]:
@@ -267,6 +268,35 @@ class WrongGZ(Polar):
     def inverse_jacobians(self, pose: Array, z: Array) -> tuple[Array, Array]:
         G_pose, G_z = super().inverse_jacobians(pose, z)
         return G_pose, G_z[:, ::-1].copy()
+
+
+@breaks("H_pose is ∂predict/∂pose")
+class WrongHPoseWithoutInverse(BearingAlone):
+    def jacobians(self, pose: Array, landmark: Array) -> tuple[Array, Array]:
+        H_pose, H = super().jacobians(pose, landmark)
+        return -H_pose, H
+
+
+@breaks("residual wraps angles", alone=False)
+class NoWrapWithoutInverse(BearingAlone):
+    def residual(self, z: Array, z_hat: Array) -> Array:
+        return z - z_hat
+
+
+@breaks("linearise is predict, residual and jacobians")
+class WrongLineariseWithoutInverse(Bearing):
+    functions: ClassVar[Any] = Bearing.functions._replace(linearise=Range.functions.linearise)
+
+    def __init__(self) -> None:
+        super().__init__(0.1)
+
+
+@breaks("functions fit into a compiled run")
+class NotCompiledWithoutInverse(Bearing):
+    functions: ClassVar[Any] = Bearing.functions._replace(residual=lambda *a: Bearing.functions.residual(*a))
+
+    def __init__(self) -> None:
+        super().__init__(0.1)
 
 
 @breaks("predict undoes invert")

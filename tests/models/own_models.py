@@ -92,6 +92,22 @@ class Polar:
         return np.column_stack([np.eye(2), across]), np.column_stack([across, [c, s]])
 
 
+class BearingAlone:
+    """A sensor without an inverse, in plain NumPy."""
+
+    R: ClassVar[Array] = np.array([[0.01]])
+
+    def predict(self, pose: Array, landmark: Array) -> Array:
+        return Polar().predict(pose, landmark)[:1]
+
+    def jacobians(self, pose: Array, landmark: Array) -> tuple[Array, Array]:
+        H_pose, H_landmark = Polar().jacobians(pose, landmark)
+        return H_pose[:1], H_landmark[:1]
+
+    def residual(self, z: Array, z_hat: Array) -> Array:
+        return se2.wrap(z - z_hat)
+
+
 class PositionAndRange:
     """Three numbers a sighting: the position in robot axes, and the range again."""
 
@@ -192,7 +208,7 @@ def numba_linearise(pose, landmark, z, params, z_hat, y, H_pose, H_landmark):  #
 
 
 class Watcher(Mounted):
-    """It says at one blow what it sees."""
+    """The same with the fused function."""
 
     functions = Mounted.functions._replace(linearise=numba_linearise)
 
@@ -261,6 +277,6 @@ class Scooter:
 
 
 class Driven(Scooter):
-    """It says at one blow what it does."""
+    """The same with the fused function."""
 
     functions = Scooter.functions._replace(predict_all=numba_predict_all)

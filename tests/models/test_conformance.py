@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 from broken_models import BROKEN, AsymmetricNoise, NegativePoseNoise, WrongF, WrongHPose
 from model_examples import name
-from own_models import Differential, Driven, Mounted, Omnidirectional, Polar, PositionAndRange, Scooter, Watcher
+from own_models import (
+    BearingAlone,
+    Differential,
+    Driven,
+    Mounted,
+    Omnidirectional,
+    Polar,
+    PositionAndRange,
+    Scooter,
+    Watcher,
+)
 
 from slamkit.arrays import Array
 from slamkit.errors import InputError, ModelError
@@ -17,7 +27,9 @@ from slamkit.models import RangeBearing, Unicycle, check_model
 
 
 @pytest.mark.parametrize(
-    "model", [Differential(), Polar(), PositionAndRange(), Mounted(), Watcher(), Scooter(), Driven()], ids=name
+    "model",
+    [Differential(), Polar(), BearingAlone(), PositionAndRange(), Mounted(), Watcher(), Scooter(), Driven()],
+    ids=name,
 )
 def test_a_model_of_ones_own_passes(model: object) -> None:
     check_model(model)
@@ -80,6 +92,10 @@ class Half:
     jacobians = 3
 
 
+class WithHalfAnInverse(Polar):
+    inverse_jacobians = None  # type: ignore[assignment]
+
+
 class HalfSensor:
     R = np.eye(2)
 
@@ -93,6 +109,7 @@ class HalfSensor:
         (Neither(), r"Neither is neither .* MotionModel needs move, jacobians, .*; SensorModel needs R, predict, "),
         (None, "NoneType is neither"),
         (Half(), r"Half has no jacobians, control_noise, pose_noise: see slamkit\.protocols\.MotionModel"),
+        (WithHalfAnInverse(), r"WithHalfAnInverse has no inverse_jacobians: see slamkit\.protocols\.SensorModel"),
         (HalfSensor(), r"HalfSensor has no jacobians, residual, invert, inverse_jacobians: see .*SensorModel"),
         (RangeBearing, r"RangeBearing is a class, expected an instance"),
     ],
