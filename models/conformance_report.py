@@ -226,4 +226,4 @@ def _compile(report: Report, functions: Any, params: Array) -> None:
     f, g = (functions, sensor.functions) if moves else (motion.functions, functions)
     both = (params if moves else motion.params), (sensor.params if moves else params)
     R = np.array(sensor.R if moves else report.model.R, dtype=float)
-    _ = models_of(f, g, *both, R, compiled=True).handle
+    _ = models_of(f, g, *both, R, compiled=True).address

@@ -29,3 +29,7 @@ class MemoryCapError(SlamkitError, MemoryError):
 
 class UnsupportedError(SlamkitError, TypeError):
     """The call belongs to the base class, but makes no sense here; the message names what to call instead."""
+
+
+class AssignmentError(SlamkitError, AttributeError):
+    """An attribute that does not exist, or cannot be changed after construction, was assigned."""

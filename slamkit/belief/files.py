@@ -67,14 +67,18 @@ def from_arrays(belief: Belief, ids: Iterable[Hashable], arrays: Mapping[str, ND
         expected = {"active": dim, "resting": resting, "store": packed_bytes(resting) // 8}
     else:
         if not C == BASE == belief.base:
-            raise InputError(f"resting.columns is {C}, expected 0 or {BASE} for a filter with {belief.base} base entries")
+            raise InputError(
+                f"resting.columns is {C}, expected 0 or {BASE} for a filter with {belief.base} base entries"
+            )
         expected = {"active": BASE, "resting": max(resting, dim), "store": packed_bytes(resting) // 8}
     if resting % PANEL:
         raise InputError(f"resting.mean has {resting} entries, expected a multiple of {PANEL}")
     rows = len(arrays["last.y"])
     expected |= {"dim": dim, "update": rows, "n": belief.own_fields.fixed}
     if expected["active"] != D or number["last.rows"] != rows:
-        raise InputError(f"belief.active is {D} and last.rows {number['last.rows']}, expected {expected['active']}, {rows}")
+        raise InputError(
+            f"belief.active is {D} and last.rows {number['last.rows']}, expected {expected['active']}, {rows}"
+        )
     for name, (dtype, shape) in FORMS.items():
         wanted = tuple(expected[n] if isinstance(n, str) else n for n in shape)
         a = arrays[name]

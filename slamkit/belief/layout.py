@@ -95,10 +95,11 @@ LAST = {
 }
 #: Room to work in. What stands here is of use during one step only.
 SCRATCH = {
-    "status": _number(),  # of the last step of a run
-    "failing": _number(),  # place of the sighting for which a step was refused
+    "status": Field("index", undone=False),  # of the last step of a run
+    "steps_done": _number(),  # of the run under way
+    "failing": Field("index", undone=False),  # place of the sighting for which a step was refused
     "non_finite": _number(),  # sightings since the step began that gave no finite numbers
-    "careful": _number("flag"),  # whether the caller undoes a step that fails
+    "careful": Field("flag", undone=False),  # whether the caller undoes a step that fails
     "pose": _scratch("vector", BASE),  # the pose that the step arrives at
     "refused": _scratch("vector", 18),  # F and Q before a prediction that may yet be refused
     "refused_own": _scratch("vector", "own"),

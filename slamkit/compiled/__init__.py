@@ -5,6 +5,7 @@ Importing this package imports no Numba; the first call of a compiled function d
 
 from slamkit.compiled.cache import CacheWarning
 from slamkit.compiled.decorator import Compiled, MachineCode, compiled, intrinsics, needed, rows_of
+from slamkit.compiled.model_table import Models, models_of
 from slamkit.compiled.tables import TILE, OwnFields, OwnNumbers, Shared, Table, aligned
 
 #: Terms of a sum that vector code writes out, which divides every rank that it is given.
@@ -16,6 +17,7 @@ __all__ = [
     "CacheWarning",
     "Compiled",
     "MachineCode",
+    "Models",
     "OwnFields",
     "OwnNumbers",
     "Shared",
@@ -23,6 +25,7 @@ __all__ = [
     "aligned",
     "compiled",
     "intrinsics",
+    "models_of",
     "needed",
     "rows_of",
 ]

@@ -206,7 +206,8 @@ def _slamkit_digest() -> str:
 
     package = Path(__file__).resolve().parent.parent
     digest = hashlib.sha256(f"{numba.__version__} {sys.version} {platform.machine()}".encode())
-    for path in sorted(package.rglob("*.py")):
+    # `rglob` does not follow the link that models is in a checkout.
+    for path in sorted([*package.rglob("*.py"), *(package / "models").glob("*.py")]):
         source = path.read_bytes()
         if b"@compiled(" in source or path.parent.name == "compiled":
             digest.update(path.relative_to(package).as_posix().encode() + source)

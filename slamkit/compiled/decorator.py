@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dis
 import importlib
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -34,11 +35,13 @@ class Compiled:
         self.function, self.signature, self.generic = function, signature, generic
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
 
-    @property
+    @cached_property
     def uses(self) -> dict[str, Compiled | OwnFields]:
         """The compiled functions and the own fields that it names."""
         f = self.function
-        return {n: v for n in f.__code__.co_names if isinstance(v := f.__globals__.get(n), Compiled | OwnFields)}
+        # Names of attributes, which `co_names` holds too, are none of these.
+        names = {i.argval for i in dis.get_instructions(f.__code__) if i.opname == "LOAD_GLOBAL"}
+        return {n: v for n in sorted(names) if isinstance(v := f.__globals__.get(n), Compiled | OwnFields)}
 
     def _over(self, choose: Callable[[Any], Any]) -> FunctionType:
         """The function over the same globals, with every `Compiled` among them replaced."""
@@ -73,6 +76,9 @@ class Compiled:
         if module == "__main__" or getattr(importlib.import_module(module), self.__name__, None) is not self:
             return Compiled._again, (self.function, self.signature, self.generic)
         return _find, (module, self.function.__qualname__)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Compiled:
+        return self
 
     @classmethod
     def _again(cls, function: FunctionType, signature: str, generic: bool) -> Compiled:

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 #: Packages whose functions are known by name: their versions are part of every digest, or they cannot change.
-KNOWN = frozenset({"slamkit", "numpy", "scipy", "numba", "llvmlite", "math", "cmath", "builtins", *sys.builtin_module_names})
+KNOWN = frozenset(
+    {"slamkit", "numpy", "scipy", "numba", "llvmlite", "math", "cmath", "builtins", *sys.builtin_module_names}
+)
 
 
 class Unkeyed(Exception):  # noqa: N818  (no error: it means that machine code is not kept)

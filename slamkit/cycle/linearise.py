@@ -21,7 +21,13 @@ def record_non_finite(state: Any, place: int, k: int) -> None:
 def linearise_one(policy: Any, models: Any, state: Any, j: int) -> bool:
     """Linearise sighting j of ``state.scratch.slots`` at ``state.scratch.at``; False, and it is refused, without finite numbers."""
     k = models.R.shape[0]
-    at, y, H_pose, H_landmark, first = state.scratch.at, state.last.y, state.scratch.H_pose, state.scratch.H_landmark, j * k
+    at, y, H_pose, H_landmark, first = (
+        state.scratch.at,
+        state.last.y,
+        state.scratch.H_pose,
+        state.scratch.H_landmark,
+        j * k,
+    )
     landmark, z = rows_of(at, 3 + 2 * j, 2), rows_of(state.last.z, first, k)
     policy.sensor(models, state, rows_of(at, 0, 3), landmark, state.scratch.slots[j], z, first)
     total = 0.0

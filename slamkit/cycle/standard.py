@@ -42,7 +42,9 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """Linearise the motion at the current estimate."""
     pose, params = state.belief.mean[:3], models.motion_params
     if models.predicts_all:
-        models.predict_all(pose, u, dt, params, state.scratch.pose, state.last.F, state.scratch.G, state.scratch.sigma_u, state.last.Q)
+        models.predict_all(
+            pose, u, dt, params, state.scratch.pose, state.last.F, state.scratch.G, state.scratch.sigma_u, state.last.Q
+        )
         add_control_noise(state)
     else:
         models.move(pose, u, dt, params, state.scratch.pose)
@@ -55,7 +57,11 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
     """Linearise the sensor at the given pose and landmark."""
     k = z.shape[0]
-    y, H_pose, H_landmark = rows_of(state.last.y, row, k), rows_of(state.scratch.H_pose, row, k), rows_of(state.scratch.H_landmark, row, k)
+    y, H_pose, H_landmark = (
+        rows_of(state.last.y, row, k),
+        rows_of(state.scratch.H_pose, row, k),
+        rows_of(state.scratch.H_landmark, row, k),
+    )
     params, z_hat = models.sensor_params, state.scratch.z_hat
     if models.linearises:
         models.linearise(pose, landmark, z, params, z_hat, y, H_pose, H_landmark)

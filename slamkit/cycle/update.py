@@ -95,7 +95,13 @@ def record_all_rejected(state: Any, rows: int) -> int:
 @compiled("index(policy, models, state)", generic=True)
 def update_one(policy: Any, models: Any, state: Any) -> Any:
     """The update by one sighting of two rows, which nearly every update is."""
-    at, mean, y, slot, place = state.scratch.at, state.belief.mean, state.last.y, state.scratch.slots[0], state.scratch.order[0]
+    at, mean, y, slot, place = (
+        state.scratch.at,
+        state.belief.mean,
+        state.last.y,
+        state.scratch.slots[0],
+        state.scratch.order[0],
+    )
     at[0], at[1], at[2], at[3], at[4] = mean[0], mean[1], mean[2], mean[slot], mean[slot + 1]
     if not linearise_one(policy, models, state, 0):
         return record_all_rejected(state, 0)

@@ -6,8 +6,8 @@ from slamkit.filters.ideal import IdealEKFSLAM
 from slamkit.filters.invariant import InvariantEKFSLAM
 from slamkit.filters.iterated import IteratedEKFSLAM
 from slamkit.filters.landmark_filter import LandmarkFilter
-from slamkit.filters.observability import ObservabilityConstrainedEKFSLAM
-from slamkit.filters.observability_ukf import ObservabilityConstrainedUKFSLAM
+from slamkit.filters.observability_constrained import ObservabilityConstrainedEKFSLAM
+from slamkit.filters.observability_constrained_ukf import ObservabilityConstrainedUKFSLAM
 from slamkit.filters.registry import FILTERS
 from slamkit.filters.robocentric import RobocentricEKFSLAM
 from slamkit.filters.ukf import UKFSLAM, FullUKFSLAM

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from slamkit.compiled import compiled
+from slamkit.cycle.estimator import EstimatorFunctions
+from slamkit.cycle.standard import initialise as standard_initialise
 from slamkit.cycle.standard import motion as standard_motion
 from slamkit.cycle.standard import sensor as standard_sensor
-from slamkit.cycle.standard import start as standard_start
 from slamkit.filters.ekf import EKFSLAM
-from slamkit.filters.landmark_filter import PolicyFunctions
 
 # The standard Jacobians enter as they are; only the column of the heading is sheared. With J d = (-d_y, d_x):
 # F T(p - q), T(d) = [I, J d; 0 1], moves the lever arm's foot from p to q, and the same on H and G_x.
@@ -26,7 +26,7 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 
 
 @compiled("void(models, state, integers, flag)", generic=True)
-def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
+def prepare_scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
     """The predicted position is the first estimate of where the robot is now."""
     if moved:
         state.belief.linearised_at[0], state.belief.linearised_at[1] = state.belief.mean[0], state.belief.mean[1]
@@ -44,9 +44,9 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
 
 
 @compiled("void(models, state, index, index, vector)", generic=True)
-def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
+def initialise(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """G_x = [I, J(l - q)], not [I, J(l - p)]: the published form lets the filter learn its heading."""
-    standard_start(models, state, slot, place, z)
+    standard_initialise(models, state, slot, place, z)
     G, points = state.scratch.G_pose, state.belief.linearised_at
     dx, dy = state.belief.mean[0] - points[0], state.belief.mean[1] - points[1]
     for i in range(2):
@@ -73,5 +73,5 @@ class FirstEstimatesEKFSLAM(EKFSLAM):
     """
 
     name = "fej"
-    functions = PolicyFunctions(motion=motion, sensor=sensor, start=start, scan=scan)
-    feet = "points"
+    functions = EstimatorFunctions(motion=motion, sensor=sensor, initialise=initialise, prepare_scan=prepare_scan)
+    linearisation_points = "linearised_at"

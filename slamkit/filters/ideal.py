@@ -6,22 +6,24 @@ from collections.abc import Hashable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from slamkit.compiled import compiled
+from slamkit.arrays import Array
+from slamkit.compiled import OwnFields, compiled
+from slamkit.cycle.estimator import EstimatorFunctions
+from slamkit.cycle.standard import initialise as standard_initialise
 from slamkit.cycle.standard import motion as standard_motion
 from slamkit.cycle.standard import motion_noise
 from slamkit.cycle.standard import sensor as standard_sensor
-from slamkit.cycle.standard import start as standard_start
 from slamkit.errors import InputError, SlamkitError
 from slamkit.filters.ekf import EKFSLAM
-from slamkit.filters.landmark_filter import PolicyFunctions, Progress
+from slamkit.filters.landmark_filter import Progress
 from slamkit.logs import History, Log, Schedule, Truth, decode_id, encode_id
 from slamkit.protocols import MotionModel, SensorModel
 
-Array = NDArray[np.float64]
-
-# ``state.belief.linearised_at`` holds the true state, ``state.memory[:3]`` the true pose that a prediction arrives at.
+# ``state.belief.linearised_at`` holds the true state. The own fields are the true pose that a prediction arrives at, and
+# the true positions of the landmarks of a scan.
+own = OwnFields({"true_landmarks": 2}, true_pose=3)
 
 
 @compiled("void(models, state, vector, real)", generic=True)
@@ -34,16 +36,16 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     models.motion_jacobians(pose, u, dt, models.motion_params, F, state.scratch.G)
     motion_noise(models, state, pose, u, dt)
     # The model's own lever arm ends where the noiseless control leads; the truth is elsewhere.
-    F[0, 2] -= state.memory[1] - arrived[1]
-    F[1, 2] += state.memory[0] - arrived[0]
+    F[0, 2] -= own(state).true_pose[1] - arrived[1]
+    F[1, 2] += own(state).true_pose[0] - arrived[0]
 
 
 @compiled("void(models, state, integers, flag)", generic=True)
-def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
+def prepare_scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
     """The robot is where it is."""
     if moved:
         for i in range(3):
-            state.belief.linearised_at[i] = state.memory[i]
+            state.belief.linearised_at[i] = own(state).true_pose[i]
 
 
 @compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
@@ -52,18 +54,24 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     standard_sensor(models, state, pose, landmark, slot, z, row)
     rows = slice(row, row + z.shape[0])
     true_pose, true_landmark = state.belief.linearised_at[:3], state.belief.linearised_at[slot : slot + 2]
-    models.sensor_jacobians(true_pose, true_landmark, models.sensor_params, state.scratch.H_pose[rows], state.scratch.H_landmark[rows])
+    models.sensor_jacobians(
+        true_pose, true_landmark, models.sensor_params, state.scratch.H_pose[rows], state.scratch.H_landmark[rows]
+    )
 
 
 @compiled("void(models, state, index, index, vector)", generic=True)
-def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
+def initialise(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """The landmark from the estimate, G_x and G_z at the truth."""
-    landmark = state.scratch.truth[place]
+    landmark = own(state).true_landmarks[place]
     exact = np.empty(z.shape[0])
     models.predict(state.belief.linearised_at[:3], landmark, models.sensor_params, exact)
     x, y, heading = state.belief.mean[0], state.belief.mean[1], state.belief.mean[2]
-    state.belief.mean[0], state.belief.mean[1], state.belief.mean[2] = state.belief.linearised_at[0], state.belief.linearised_at[1], state.belief.linearised_at[2]
-    standard_start(models, state, slot, place, exact)
+    state.belief.mean[0], state.belief.mean[1], state.belief.mean[2] = (
+        state.belief.linearised_at[0],
+        state.belief.linearised_at[1],
+        state.belief.linearised_at[2],
+    )
+    standard_initialise(models, state, slot, place, exact)
     state.belief.mean[0], state.belief.mean[1], state.belief.mean[2] = x, y, heading
     models.invert(state.belief.mean[:3], z, models.sensor_params, state.belief.mean[slot : slot + 2])
     state.belief.linearised_at[slot], state.belief.linearised_at[slot + 1] = landmark[0], landmark[1]
@@ -97,8 +105,10 @@ class IdealEKFSLAM(EKFSLAM):
     """
 
     name = "ideal"
-    feet = "points"
-    functions = PolicyFunctions(motion=motion, sensor=sensor, start=start, scan=scan)
+    own_fields = own
+    linearisation_points = "linearised_at"
+    longest_stretch = 1
+    functions = EstimatorFunctions(motion=motion, sensor=sensor, initialise=initialise, prepare_scan=prepare_scan)
 
     TOLERANCE = 1e-3  #: how far [s] a true pose may lie from the time at which it is needed
 
@@ -113,15 +123,24 @@ class IdealEKFSLAM(EKFSLAM):
         **options: Any,
     ) -> None:
         super().__init__(motion, sensor, pose, pose_covariance, order, **options)
-        self.truth: Truth | None = None
+        self._truth: Truth | None = None
         self.time = 0.0
         if truth is not None:
             self._learn(truth)
 
+    @property
+    def truth(self) -> Truth | None:
+        """What the filter knows of the truth. Assigning sets its clock to the first time of the truth."""
+        return self._truth
+
+    @truth.setter
+    def truth(self, value: Truth | None) -> None:
+        self._learn(value)
+
     def _learn(self, truth: Truth | None) -> None:
         if truth is None or len(truth.times) == 0:
             raise InputError("the ideal filter needs the truth: give truth=…, or run a log that has one")
-        self.truth, self.time = truth, float(truth.times[0])
+        self._truth, self.time = truth, float(truth.times[0])
         self._belief.state.belief.linearised_at[:3] = truth.poses[0]
 
     def run(self, log: Log, progress: Progress = False) -> History:
@@ -140,18 +159,22 @@ class IdealEKFSLAM(EKFSLAM):
         if history is not None and len(history.times):
             self.time = float(history.times[-1])
 
-    def _truth_for(self, log: Log, schedule: Schedule) -> tuple[Array, Array]:
-        poses = np.array([self._true_pose(t) for t in schedule.times]).reshape(-1, 3)
-        return poses, self._true_landmarks(log.landmark_ids)
+    def _before_stretch(self, log: Log, schedule: Schedule, done: int) -> None:
+        rows = log.observation_ids[schedule.first[done] : schedule.first[done + 1]]
+        self._tell(float(schedule.times[done]), [log.landmark_ids[i] for i in rows])
 
-    def _advance(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
+    def _tell(self, time: float, ids: Sequence[Hashable]) -> None:
+        """Write the true pose that the next step arrives at, and the true landmarks of its scan."""
+        mine = own(self._belief.state)
+        mine.true_pose = self._true_pose(time)
+        mine.true_landmarks[: len(ids)] = self._true_landmarks(ids)
+
+    def _run_step(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
         if self.truth is None:
             self._learn(None)
         self._belief.reserve(0, len(ids))
-        state = self._belief.state
-        state.memory[:3] = self._true_pose(self.time + dt)
-        state.scratch.truth[: len(ids)] = self._true_landmarks(ids)
-        super()._advance(u, dt, ids, z)
+        self._tell(self.time + dt, ids)
+        super()._run_step(u, dt, ids, z)
         self.time += dt
 
     def _true_pose(self, time: float) -> Array:

@@ -5,18 +5,14 @@ from __future__ import annotations
 from math import cos, sin
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from slamkit.belief.kernels import shear
-from slamkit.compiled import ACTIVE, MachineCode, compiled
+from slamkit.arrays import Array
+from slamkit.belief.dense import shear
+from slamkit.compiled import MachineCode, compiled
+from slamkit.cycle.estimator import EstimatorFunctions
 from slamkit.cycle.standard import motion as standard_motion
 from slamkit.filters import first_estimates
 from slamkit.filters.ekf import EKFSLAM
-from slamkit.filters.landmark_filter import PolicyFunctions
 from slamkit.se2 import wrap_angle
-
-Array = NDArray[np.float64]
 
 # Within a scan the covariance is kept in the error δ of the points c = ``state.belief.linearised_at`` (the means before the scan):
 # δ = ξ + (J c) ξθ, a constant linear image of the invariant error ξ. Then H, G_x are those of first estimates, and
@@ -33,7 +29,10 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 
 @compiled("void(state)")
 def retract(state: Any) -> None:
-    """X ← exp(ξ) X̂: rotate and move the robot and every landmark."""
+    """X ← exp(ξ) X̂: rotate and move the robot and every landmark.
+
+    The rows of w, which are only read from now on, go to standard coordinates first, at the mean before the update.
+    """
     mean, points, dx = state.belief.mean, state.belief.linearised_at, state.scratch.dx
     D = state.belief.active
     a = dx[2]
@@ -42,6 +41,12 @@ def retract(state: Any) -> None:
         v0, v1 = 1.0 - a * a / 6.0, 0.5 * a * (1.0 - a * a / 12.0)
     else:
         v0, v1 = s / a, (1.0 - c) / a
+    for r in range(state.last.rows):
+        row = state.last.w[r]
+        for i in range(-1, (D - 3) // 2):
+            k = 0 if i < 0 else 3 + 2 * i
+            row[k] -= (mean[k + 1] - points[k + 1]) * row[2]
+            row[k + 1] += (mean[k] - points[k]) * row[2]
     for i in range(-1, (D - 3) // 2):
         k = 0 if i < 0 else 3 + 2 * i
         x, y = mean[k] - points[k], mean[k + 1] - points[k + 1]
@@ -85,23 +90,23 @@ class InvariantEKFSLAM(EKFSLAM):
     """
 
     name = "invariant"
-    functions = PolicyFunctions(
+    functions = EstimatorFunctions(
         motion=motion,
         sensor=first_estimates.sensor,
-        start=first_estimates.start,
-        scan=first_estimates.scan,
+        initialise=first_estimates.initialise,
+        prepare_scan=first_estimates.prepare_scan,
         retract=retract,
         report=report,
     )
-    feet = "points"
+    linearisation_points = "linearised_at"
     compresses = False
 
     def _compiles(self) -> list[MachineCode]:
-        return [*super()._compiles(), (shear, "dispatcher")]
+        return [*super()._compiles(), (shear, "jitted")]
 
-    def _settle(self) -> None:
+    def _to_standard_coordinates(self) -> None:
         shear(self._belief.state)
 
-    def _place(self, x: Array) -> None:
-        super()._place(x)
+    def _set_mean(self, x: Array) -> None:
+        super()._set_mean(x)
         self._belief.state.belief.linearised_at[: len(x)] = x

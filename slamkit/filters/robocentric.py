@@ -7,30 +7,30 @@ from math import cos, sin
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from slamkit import se2
-from slamkit.belief.kernels import gather
-from slamkit.compiled import ACTIVE, ROWS, MachineCode, compiled
+from slamkit.arrays import Array
+from slamkit.belief.dense import gather
+from slamkit.compiled import MachineCode, OwnFields, compiled
+from slamkit.cycle.estimator import EstimatorFunctions
 from slamkit.cycle.standard import motion_noise
 from slamkit.filters.ekf import EKFSLAM
-from slamkit.filters.landmark_filter import PolicyFunctions
 from slamkit.protocols import MotionModel, SensorModel
 from slamkit.se2 import wrap, wrap_angle
 
-Array = NDArray[np.float64]
-
 # The belief is (r, B, l₁ …) in the frame of the robot at the last composition: r the robot, B the frame in which it
-# started, lᵢ the landmarks. In the world the start is the constant a = ``state.memory[2:5]``, so that the world's pose
+# started, lᵢ the landmarks. In the world the start is the constant a = ``own(state).start``, so that the world's pose
 # of the robot is a ∘ B⁻¹ ∘ r and R(ψ), ψ = θ_a - θ_B, leads to world axes. (The world's own frame in the place of B
-# would make corrections depend, in second order, on where the world has its origin.) ``state.memory[0]`` is 1 where a
-# correction has come since the last composition, ``state.memory[1]`` is ψ at the last prediction.
+# would make corrections depend, in second order, on where the world has its origin.) `corrected` is 1 where a correction
+# has come since the last composition, `psi` is ψ at the last prediction.
+own = OwnFields(corrected=1, psi=1, start=3)
 
 
 @compiled("void(state, vector)")
 def world_pose(state: Any, pose: Any) -> None:
     """pose ← a ∘ B⁻¹ ∘ r."""
-    mean, a = state.belief.mean, state.memory[2:5]
+    mean, a = state.belief.mean, own(state).start
     c, s = cos(a[2] - mean[5]), sin(a[2] - mean[5])
     dx, dy = mean[0] - mean[3], mean[1] - mean[4]
     pose[0], pose[1] = a[0] + c * dx - s * dy, a[1] + s * dx + c * dy
@@ -52,7 +52,7 @@ def turn(M: Any, angle: float) -> None:
 @compiled("void(models, state, vector, real)", generic=True)
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """Move r; the model sees the world, for its noise may lie along the world's axes."""
-    mean, arrived, a = state.belief.mean, state.scratch.pose, state.memory[2:5]
+    mean, arrived, a = state.belief.mean, state.scratch.pose, own(state).start
     pose = np.empty(3)
     world_pose(state, pose)
     models.move(pose, u, dt, models.motion_params, arrived)
@@ -61,7 +61,7 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     psi = a[2] - mean[5]
     turn(state.last.F, -psi)
     turn(state.last.Q, -psi)
-    state.memory[1] = psi
+    own(state).psi = psi
     c, s, x, y = cos(psi), sin(psi), arrived[0] - a[0], arrived[1] - a[1]
     arrived[0], arrived[1] = mean[3] + c * x + s * y, mean[4] + c * y - s * x
     arrived[2] = wrap_angle(arrived[2] - psi)
@@ -71,7 +71,7 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
 def retract(state: Any) -> None:
     """x ← x + dx in this frame, and w, which is only read from now on, ← w Wᵀ: the gain in world coordinates."""
     mean, dx, D = state.belief.mean, state.scratch.dx, state.belief.active
-    c, s = cos(state.memory[4] - mean[5]), sin(state.memory[4] - mean[5])
+    c, s = cos(own(state).start[2] - mean[5]), sin(own(state).start[2] - mean[5])
     for q in range(state.last.rows):
         row = state.last.w[q]
         for i in range(2, D // 2):
@@ -84,7 +84,7 @@ def retract(state: Any) -> None:
     for i in range(D):
         mean[i] += dx[i]
     mean[2], mean[5] = wrap_angle(mean[2]), wrap_angle(mean[5])
-    state.memory[0] = 1.0
+    own(state).corrected = 1.0
 
 
 @compiled("void(state)")
@@ -140,15 +140,15 @@ def compose(state: Any) -> None:
     for i in range(3, D):
         row = cov[i]
         row[0] = row[1] = row[2] = 0.0
-    state.memory[0] = 0.0
+    own(state).corrected = 0.0
 
 
 @compiled("void(state, vector, matrix)")
 def report(state: Any, pose: Any, covariance: Any) -> None:
     """Compose if a scan has corrected the belief, for this ends a step; then the pose and W P Wᵀ."""
-    if state.memory[0] != 0.0:
+    if own(state).corrected != 0.0:
         compose(state)
-    cov, a = state.belief.cov, state.memory[2:5]
+    cov, a = state.belief.cov, own(state).start
     world_pose(state, pose)
     c, s = cos(a[2] - state.belief.mean[5]), sin(a[2] - state.belief.mean[5])
     W = np.zeros((3, 6))
@@ -190,7 +190,8 @@ class RobocentricEKFSLAM(EKFSLAM):
     """
 
     name = "robocentric"
-    functions = PolicyFunctions(motion=motion, retract=retract, report=report)
+    own_fields = own
+    functions = EstimatorFunctions(motion=motion, retract=retract, report=report)
     base = 6
     compresses = False
 
@@ -204,15 +205,15 @@ class RobocentricEKFSLAM(EKFSLAM):
         **options: Any,
     ) -> None:
         super().__init__(motion, sensor, pose, pose_covariance, order, **options)
-        self._belief.state.memory[2:5] = self._belief.mean[:3]
+        own(self._belief.state).start = self._belief.mean[:3]
         self._hold(self._belief.mean[:3], self._belief.covariance[:3, :3])
 
     def _compiles(self) -> list[MachineCode]:
-        return [*super()._compiles(), (compose, "dispatcher")]
+        return [*super()._compiles(), (compose, "jitted")]
 
-    def _advance(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
-        super()._advance(u, dt, ids, z)
-        if self._belief.state.memory[0]:
+    def _run_step(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
+        super()._run_step(u, dt, ids, z)
+        if own(self._belief.state).corrected:
             compose(self._belief.state)
 
     # -- in world coordinates -----------------------------------------------------------------------------------------
@@ -234,7 +235,7 @@ class RobocentricEKFSLAM(EKFSLAM):
 
     @property
     def _start(self) -> Array:
-        return self._belief.state.memory[2:5]  # type: ignore[no-any-return]
+        return own(self._belief.state).start  # type: ignore[no-any-return]
 
     @property
     def F(self) -> Array:  # type: ignore[override]  # noqa: N802
@@ -248,12 +249,12 @@ class RobocentricEKFSLAM(EKFSLAM):
 
     def _pose_block_in_world(self, M: Array) -> Array:
         whole, block = M.copy(), np.array(M[:3, :3])
-        turn(block, self._belief.state.memory[1])
+        turn(block, own(self._belief.state).psi)
         whole[:3, :3] = block
         whole.flags.writeable = False
         return whole
 
-    def _feet(self) -> Array:
+    def _lever_points(self) -> Array:
         return self._mean()
 
     def _change_frame(self, rows: Array, pose: Array) -> None:
@@ -272,10 +273,10 @@ class RobocentricEKFSLAM(EKFSLAM):
     def _covariance(self) -> Array:
         return covariance_in_world(self._belief.mean, self._belief.covariance, self._start)
 
-    def _place(self, x: Array) -> None:
+    def _set_mean(self, x: Array) -> None:
         self._hold(x, self._covariance())
 
-    def _place_covariance(self, P: Array) -> None:
+    def _set_covariance(self, P: Array) -> None:
         self._hold(self._mean(), P)
 
     def _hold(self, x: Array, P: Array) -> None:
@@ -284,7 +285,7 @@ class RobocentricEKFSLAM(EKFSLAM):
         self._belief.covariance = np.insert(np.insert(P, 3, np.zeros((3, 1)), axis=0), 3, np.zeros((3, 1)), axis=1)
         compose(self._belief.state)
 
-    def _correct(self, H: Array, y: Array, R: Array) -> None:
+    def _update_dense(self, H: Array, y: Array, R: Array) -> None:
         x, P = self._mean(), self._covariance()
         cross = P @ H.T
         self._belief.gain_of(np.insert(cross, 3, np.zeros((3, 1)), axis=0), H @ cross + R, y)

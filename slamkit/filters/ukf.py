@@ -7,25 +7,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from slamkit.arrays import Array, finite_number
+from slamkit.cycle import EstimatorFunctions
 from slamkit.errors import InputError
-from slamkit.filters.landmark_filter import LandmarkFilter, PolicyFunctions
-from slamkit.filters.sigma_points import (
+from slamkit.filters.landmark_filter import LandmarkFilter
+from slamkit.filters.regressions import (
     PROBE,
+    initialise,
     moments,
     motion,
+    own,
     sensor,
     spread,
-    start,
     whole_columns,
-    whole_correct,
+    whole_initialise,
     whole_motion,
-    whole_start,
+    whole_update,
 )
 from slamkit.protocols import MotionModel, SensorModel
-
-Array = NDArray[np.float64]
 
 
 class Fit(NamedTuple):
@@ -37,7 +38,7 @@ class Fit(NamedTuple):
     error: Array  #: (r, r) covariance that the regression does not explain
 
 
-_WHOLE = PolicyFunctions(motion=whole_motion, start=whole_start, correct=whole_correct)
+_WHOLE = EstimatorFunctions(motion=whole_motion, initialise=whole_initialise, update=whole_update)
 
 
 class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, override]  # properties here
@@ -80,7 +81,9 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
     """
 
     name = "ukf"
-    functions = PolicyFunctions(motion=motion, sensor=sensor, start=start)
+    own_fields = own
+    fixed_attributes = ("sigma_points",)
+    functions = EstimatorFunctions(motion=motion, sensor=sensor, initialise=initialise)
 
     def __init__(
         self,
@@ -98,14 +101,46 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
     ) -> None:
         if sigma_points not in ("partial", "full"):
             raise InputError(f"sigma_points is {sigma_points!r}, expected 'partial' or 'full'")
-        if not (0 < alpha <= 1 and kappa > -1 and np.isfinite(beta) and np.isfinite(kappa)):
-            raise InputError(f"alpha, beta, kappa are {alpha}, {beta}, {kappa}; expected 0 < alpha ≤ 1 and kappa > -1")
         self.compresses = sigma_points == "partial"
         if sigma_points == "full":
             self.functions = _WHOLE  # type: ignore[misc]  # of this filter alone
         super().__init__(motion, sensor, pose, pose_covariance, order, **options)
-        self.sigma_points, self.alpha, self.beta, self.kappa = sigma_points, alpha, beta, kappa
-        self._belief.state.memory[:3] = alpha, beta, kappa
+        self.sigma_points = sigma_points
+        self._set_scaling(alpha, beta, kappa)
+
+    def _set_scaling(self, alpha: float, beta: float, kappa: float) -> None:
+        values = [finite_number(n, v) for n, v in (("alpha", alpha), ("beta", beta), ("kappa", kappa))]
+        if not (0 < values[0] <= 1 and values[2] > -1):
+            raise InputError(f"alpha, beta, kappa are {alpha}, {beta}, {kappa}; expected 0 < alpha ≤ 1 and kappa > -1")
+        mine = own(self._belief.state)
+        mine.alpha, mine.beta, mine.kappa = values
+
+    @property
+    def alpha(self) -> float:
+        """Spread of the sigma points; it may be assigned to."""
+        return own(self._belief.state).alpha  # type: ignore[no-any-return]
+
+    @alpha.setter
+    def alpha(self, value: float) -> None:
+        self._set_scaling(value, self.beta, self.kappa)
+
+    @property
+    def beta(self) -> float:
+        """Weight of the centre in the covariance; it may be assigned to."""
+        return own(self._belief.state).beta  # type: ignore[no-any-return]
+
+    @beta.setter
+    def beta(self, value: float) -> None:
+        self._set_scaling(self.alpha, value, self.kappa)
+
+    @property
+    def kappa(self) -> float:
+        """Secondary scaling of the sigma points; it may be assigned to."""
+        return own(self._belief.state).kappa  # type: ignore[no-any-return]
+
+    @kappa.setter
+    def kappa(self, value: float) -> None:
+        self._set_scaling(self.alpha, self.beta, value)
 
     @property
     def points_fn(self) -> MerweScaledSigmaPoints:  # type: ignore[override]
@@ -125,7 +160,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
     @property
     def sigmas_f(self) -> Array:  # type: ignore[override]
         """Sigma points (2D + 1, D) of the current belief, root in robot axes."""
-        columns = self._columns() * spread(self._belief.state.memory, self.dim_x)
+        columns = self._columns() * spread(self._belief.state, self.dim_x)
         return np.vstack([self.x, self.x + columns.T, self.x - columns.T])
 
     def update(  # type: ignore[override]
@@ -182,21 +217,23 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
     def _columns(self, floor: float = 0.0) -> Array:
         """Root (D, D) of P, taken in robot axes; a floor makes it invertible, for a regression and nothing else."""
         C = np.empty((self.dim_x, self.dim_x))
-        whole_columns(np.ascontiguousarray(self._belief.covariance), self._belief.state.belief.mean[2], self.dim_x, floor, C)
+        whole_columns(
+            np.ascontiguousarray(self._belief.covariance), self._belief.state.belief.mean[2], self.dim_x, floor, C
+        )
         return C
 
     def _matrix(self, f: Callable[[Array], Array], subtract: Callable[[Any, Any], Array]) -> tuple[Array, Fit]:
         """Regression of f over sigma points of the whole state, and its matrix (r, D)."""
-        columns, x, memory = self._columns(PROBE), self._belief.mean, self._belief.state.memory
+        columns, x, state = self._columns(PROBE), self._belief.mean, self._belief.state
         n = len(x)
         # Bad input makes NaN here, which the caller refuses; NumPy need not warn of it as well.
         with np.errstate(invalid="ignore"):
             centre = f(x)
-            plus = np.array([subtract(f(x + d), centre) for d in spread(memory, n) * columns.T])
-            minus = np.array([subtract(f(x - d), centre) for d in spread(memory, n) * columns.T])
+            plus = np.array([subtract(f(x + d), centre) for d in spread(state, n) * columns.T])
+            minus = np.array([subtract(f(x - d), centre) for d in spread(state, n) * columns.T])
         r = plus.shape[1]
         fit = Fit(centre, np.empty(r), np.empty((r, n)), np.empty((r, r)))
-        moments(plus, minus, fit.half, fit.error, fit.mean, memory, r, n, n)
+        moments(state, plus, minus, fit.half, fit.error, fit.mean, r, n, n)
         return np.asarray(np.linalg.solve(columns.T, fit.half.T).T), fit
 
     def _regression(self, slot: int) -> tuple[Array, Array] | None:

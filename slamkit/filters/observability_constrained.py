@@ -4,43 +4,48 @@ from __future__ import annotations
 
 from typing import Any
 
-from slamkit.belief.kernels import propagate
-from slamkit.compiled import compiled
+from slamkit.belief.dense import propagate
+from slamkit.compiled import OwnFields, compiled
+from slamkit.cycle.estimator import EstimatorFunctions
 from slamkit.cycle.standard import motion as standard_motion
 from slamkit.filters import first_estimates
 from slamkit.filters.ekf import EKFSLAM
-from slamkit.filters.landmark_filter import PolicyFunctions
 
 # All lever arms are first estimates moved by one common vector -Δ, so that their differences stay what they were;
 # Δ is the least-squares choice over the robot and the landmarks of the scan, which is what the published linear
-# system solves. ``state.memory`` holds Δ and the position before the last prediction; ``state.belief.linearised_at[:2]`` is
+# system solves. ``own`` holds Δ = `shift` and the `position` before the last prediction; ``state.belief.linearised_at[:2]`` is
 # q = p_{k|k-1} + Δ, so that l_first - q is the lever arm.
+
+
+own = OwnFields(shift=2, position=2)
 
 
 @compiled("void(models, state, vector, real)", generic=True)
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     """F for a scan that sees nothing; `scan` moves the lever arm when it knows what is seen."""
     standard_motion(models, state, u, dt)
-    state.memory[2], state.memory[3] = state.belief.mean[0], state.belief.mean[1]
+    mine = own(state)
+    mine.position[0], mine.position[1] = state.belief.mean[0], state.belief.mean[1]
 
 
 @compiled("void(models, state, integers, flag)", generic=True)
-def scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
+def prepare_scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
     """Choose Δ as the mean of q - p and of l_first - l̂ over the known landmarks of the scan."""
     if not moved:
         return
-    memory, points, mean = state.memory, state.belief.linearised_at, state.belief.mean
-    tentative_x, tentative_y = points[0] - memory[2], points[1] - memory[3]
+    mine, points, mean = own(state), state.belief.linearised_at, state.belief.mean
+    shift, position = mine.shift, mine.position
+    tentative_x, tentative_y = points[0] - position[0], points[1] - position[1]
     x, y, n = tentative_x, tentative_y, 1
     for slot in slots:
         if slot >= 0:
             x += points[slot] - mean[slot]
             y += points[slot + 1] - mean[slot + 1]
             n += 1
-    memory[0], memory[1] = x / n, y / n
-    points[0], points[1] = mean[0] + memory[0], mean[1] + memory[1]
+    shift[0], shift[1] = x / n, y / n
+    points[0], points[1] = mean[0] + shift[0], mean[1] + shift[1]
     if n > 1:
-        move_lever(state, memory[0] - tentative_x, memory[1] - tentative_y)
+        move_lever(state, shift[0] - tentative_x, shift[1] - tentative_y)
 
 
 @compiled("void(state, real, real)")
@@ -84,5 +89,8 @@ class ObservabilityConstrainedEKFSLAM(EKFSLAM):
     """
 
     name = "oc"
-    functions = PolicyFunctions(motion=motion, sensor=first_estimates.sensor, start=first_estimates.start, scan=scan)
-    feet = "points"
+    own_fields = own
+    functions = EstimatorFunctions(
+        motion=motion, sensor=first_estimates.sensor, initialise=first_estimates.initialise, prepare_scan=prepare_scan
+    )
+    linearisation_points = "linearised_at"

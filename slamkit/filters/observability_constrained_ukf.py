@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from slamkit.compiled import compiled
+from slamkit.cycle.estimator import EstimatorFunctions
 from slamkit.errors import InputError
 from slamkit.filters import first_estimates
-from slamkit.filters.landmark_filter import PolicyFunctions
-from slamkit.filters.sigma_points import motion as ukf_motion
-from slamkit.filters.sigma_points import sensor as ukf_sensor
-from slamkit.filters.sigma_points import start as ukf_start
+from slamkit.filters.regressions import initialise as ukf_initialise
+from slamkit.filters.regressions import motion as ukf_motion
+from slamkit.filters.regressions import sensor as ukf_sensor
 from slamkit.filters.ukf import UKFSLAM
 
 # No measurement sees N = [I, J q; 0 1; I, J cᵢ …], where ``state.belief.linearised_at`` holds q, the last predicted position, and the
@@ -42,9 +42,9 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
 
 
 @compiled("void(models, state, index, index, vector)", generic=True)
-def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
+def initialise(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """G = [I, J(l - q)], and c ← l."""
-    ukf_start(models, state, slot, place, z)
+    ukf_initialise(models, state, slot, place, z)
     G, points, mean = state.scratch.G_pose, state.belief.linearised_at, state.belief.mean
     G[0, 0] = G[1, 1] = 1.0
     G[0, 1] = G[1, 0] = 0.0
@@ -79,8 +79,10 @@ class ObservabilityConstrainedUKFSLAM(UKFSLAM):
     """
 
     name = "oc-ukf"
-    feet = "points"
-    functions = PolicyFunctions(motion=motion, sensor=sensor, start=start, scan=first_estimates.scan)
+    linearisation_points = "linearised_at"
+    functions = EstimatorFunctions(
+        motion=motion, sensor=sensor, initialise=initialise, prepare_scan=first_estimates.prepare_scan
+    )
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)

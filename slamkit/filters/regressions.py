@@ -7,15 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from slamkit.belief.kernels import cholesky, forward, is_finite, whiten
-from slamkit.compiled import ACTIVE, compiled
-from slamkit.cycle.steps import NOT_DEFINITE, dismiss, drop, screen, settle
+from slamkit.belief.dense import cholesky, forward, is_finite, whiten
+from slamkit.compiled import OwnFields, compiled
+from slamkit.cycle.linearise import record_non_finite
+from slamkit.cycle.status import NOT_DEFINITE
+from slamkit.cycle.update import commit_update, gate_sightings, record_all_rejected
 from slamkit.se2 import wrap_angle
 
 # Sigma points x ± s T lᵢ, where lᵢ are the columns of chol(Tᵀ P T) and T turns positions into robot axes: with the
 # root taken there the filter does not depend on the choice of the world's axes. With half = (f₊ - f₋)/2s and the
 # weights of van der Merwe, the regression of f on x is H̄ T L = [half₁ … half_n]; the mean of f is f₀ + m.
-# ``state.memory[:3]`` holds α, β, κ.
+# The estimator's own fields are α, β and κ.
+own = OwnFields(alpha=1, beta=1, kappa=1)
 
 #: A direction of the state without uncertainty is probed at this distance [m, rad], so that the regression exists
 #: there too. The covariance is not touched: it multiplies what is found in this direction by zero.
@@ -62,16 +65,14 @@ def unwhiten(half: Any, L: Any, out: Any, rows: int, n: int) -> None:
             out[r, i] = s / L[i, i]
 
 
-@compiled("void(matrix, matrix, matrix, matrix, vector, vector, index, index, index)")
-def moments(
-    plus: Any, minus: Any, half: Any, extra: Any, mean: Any, memory: Any, rows: int, n: int, total: int
-) -> None:
+@compiled("void(state, matrix, matrix, matrix, matrix, vector, index, index, index)")
+def moments(state: Any, plus: Any, minus: Any, half: Any, extra: Any, mean: Any, rows: int, n: int, total: int) -> None:
     """From differences to f₀ at the sigma points (n, rows): shift of the mean, half differences, regression error.
 
     extra = P_ff - (H̄ T L)(H̄ T L)ᵀ, what a linear function of x cannot explain of f. In the further directions, up to
     `total`, f does not change.
     """
-    alpha, beta, kappa = memory[0], memory[1], memory[2]
+    alpha, beta, kappa = own(state).alpha, own(state).beta, own(state).kappa
     spread = alpha * alpha * (total + kappa)
     s = sqrt(spread)
     weight = 0.5 / spread
@@ -93,10 +94,10 @@ def moments(
             extra[r, q] = error
 
 
-@compiled("real(vector, index)")
-def spread(memory: Any, n: int) -> float:
+@compiled("real(state, index)")
+def spread(state: Any, n: int) -> float:
     """How many standard deviations the sigma points lie from the mean: α √(n + κ)."""
-    return float(memory[0] * sqrt(n + memory[2]))
+    return float(own(state).alpha * sqrt(n + own(state).kappa))
 
 
 @compiled("void(state, index, matrix)")
@@ -154,7 +155,7 @@ def regress_motion(models: Any, state: Any, u: Any, dt: float, total: int) -> No
     turn_rows(columns, 3, pose[2])
     models.control_noise(u, dt, params, state.scratch.sigma_u)
     root(state.scratch.sigma_u, L_u, m, 0.0)
-    s = spread(state.memory, total)
+    s = spread(state, total)
     centre, moved, point, noisy = np.empty(3), np.empty(3), np.empty(3), np.empty(m)
     models.move(pose, u, dt, params, centre)
     plus, minus = np.empty((n, 3)), np.empty((n, 3))
@@ -169,7 +170,7 @@ def regress_motion(models: Any, state: Any, u: Any, dt: float, total: int) -> No
             models.move(point, noisy, dt, params, moved)
             out[0], out[1], out[2] = moved[0] - centre[0], moved[1] - centre[1], wrap_angle(moved[2] - centre[2])
     half, error, mean = np.empty((3, n)), np.empty((3, 3)), np.empty(3)
-    moments(plus, minus, half, error, mean, state.memory, 3, n, total)
+    moments(state, plus, minus, half, error, mean, 3, n, total)
     unwhiten(half, L, state.last.F, 3, 3)
     turn_columns(state.last.F, 3, 3, pose[2])
     for j in range(3):
@@ -199,7 +200,7 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
     local_root(state, slot, L)
     copy(L, columns)
     turn_rows(columns, 5, pose[2])
-    s = spread(state.memory, 5)
+    s = spread(state, 5)
     at_mean, predicted = np.empty(k), np.empty(k)
     models.predict(pose, landmark, params, at_mean)
     plus, minus, point = np.empty((5, k)), np.empty((5, k)), np.empty(5)
@@ -213,7 +214,7 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
             models.predict(point[:3], point[3:], params, predicted)
             models.residual(predicted, at_mean, params, plus[i] if side == 0 else minus[i])
     half, error, mean = np.empty((k, 5)), np.empty((k, k)), np.empty(k)
-    moments(plus, minus, half, error, mean, state.memory, k, 5, 5)
+    moments(state, plus, minus, half, error, mean, k, 5, 5)
     unwhiten(half, L, out, k, 5)
     turn_columns(out, k, 5, pose[2])
     for r in range(k):
@@ -228,7 +229,7 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
 
 
 @compiled("void(models, state, index, vector, index)", generic=True)
-def regress_start(models: Any, state: Any, slot: int, z: Any, total: int) -> None:
+def regress_initialise(models: Any, state: Any, slot: int, z: Any, total: int) -> None:
     """Regression over sigma points of the pose and the measurement's noise, among those of `total` dimensions."""
     k = z.shape[0]
     n = 3 + k
@@ -238,7 +239,7 @@ def regress_start(models: Any, state: Any, slot: int, z: Any, total: int) -> Non
     copy(L, columns)
     turn_rows(columns, 3, pose[2])
     root(models.R, L_z, k, 0.0)
-    s = spread(state.memory, total)
+    s = spread(state, total)
     centre, point, noisy, plus, minus = np.empty(2), np.empty(3), np.empty(k), np.empty((n, 2)), np.empty((n, 2))
     models.invert(pose, z, params, centre)
     for i in range(n):
@@ -253,7 +254,7 @@ def regress_start(models: Any, state: Any, slot: int, z: Any, total: int) -> Non
             for j in range(2):
                 out[j] -= centre[j]
     half, error, mean = np.empty((2, n)), np.empty((2, 2)), np.empty(2)
-    moments(plus, minus, half, error, mean, state.memory, 2, n, total)
+    moments(state, plus, minus, half, error, mean, 2, n, total)
     unwhiten(half, L, state.scratch.G_pose, 2, 3)
     turn_columns(state.scratch.G_pose, 2, 3, pose[2])
     for i in range(2):
@@ -265,9 +266,9 @@ def regress_start(models: Any, state: Any, slot: int, z: Any, total: int) -> Non
 
 
 @compiled("void(models, state, index, index, vector)", generic=True)
-def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
+def initialise(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """Sigma points of the pose and the measurement's noise."""
-    regress_start(models, state, slot, z, 3 + z.shape[0])
+    regress_initialise(models, state, slot, z, 3 + z.shape[0])
 
 
 # -- sigma points over the whole state --------------------------------------------------------------------------------
@@ -280,9 +281,9 @@ def whole_motion(models: Any, state: Any, u: Any, dt: float) -> None:
 
 
 @compiled("void(models, state, index, index, vector)", generic=True)
-def whole_start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
+def whole_initialise(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """Sigma points of the whole state and the measurement's noise, likewise."""
-    regress_start(models, state, slot, z, state.belief.active + z.shape[0])
+    regress_initialise(models, state, slot, z, state.belief.active + z.shape[0])
 
 
 @compiled("void(matrix, real, index, real, matrix)")
@@ -320,13 +321,20 @@ def regress(models: Any, state: Any, n: int) -> int:
     sight move nothing that is in sight.
     """
     k, D, mean, params = models.R.shape[0], state.belief.active, state.belief.mean, models.sensor_params
-    slots, order, z, y, S, w = state.scratch.slots, state.scratch.order, state.last.z, state.last.y, state.last.S, state.last.w
+    slots, order, z, y, S, w = (
+        state.scratch.slots,
+        state.scratch.order,
+        state.last.z,
+        state.last.y,
+        state.last.S,
+        state.last.w,
+    )
     rows, count = n * k, 3
     for j in range(n):
         count = max(count, slots[j] + 2)
     C = np.empty((D, D))
     whole_columns(state.belief.cov, mean[2], count, 0.0, C)
-    s = spread(state.memory, D)
+    s = spread(state, D)
     centre, shift, predicted, point = np.empty(rows), np.empty(rows), np.empty(k), np.empty(5)
     plus, minus = np.zeros((count, rows)), np.zeros((count, rows))
     half, error = np.empty((rows, count)), np.empty((rows, rows))
@@ -345,7 +353,7 @@ def regress(models: Any, state: Any, n: int) -> int:
                         point[3 + i] = mean[slot + i] + step * C[slot + i, c]
                     models.predict(point[:3], point[3:], params, predicted)
                     models.residual(predicted, centre[first : first + k], params, out[first : first + k])
-    moments(plus, minus, half, error, shift, state.memory, rows, count, D)
+    moments(state, plus, minus, half, error, shift, rows, count, D)
     kept = 0
     for j in range(n):
         first = j * k
@@ -359,7 +367,7 @@ def regress(models: Any, state: Any, n: int) -> int:
                     z[kept * k + r] = z[first + r]
             kept += 1
         else:
-            drop(state, order[j], k)
+            record_non_finite(state, order[j], k)
     if kept < n:
         return kept
     for r in range(rows):
@@ -377,7 +385,7 @@ def regress(models: Any, state: Any, n: int) -> int:
 
 
 @compiled("index(policy, models, state, index)", generic=True)
-def whole_correct(policy: Any, models: Any, state: Any, n: int) -> Any:
+def whole_update(policy: Any, models: Any, state: Any, n: int) -> Any:
     """One update by the n sightings in ``state.scratch.slots`` and ``state.last.z``, stacked with what their errors share.
 
     Those beyond the gate, or that gave no finite numbers, are left out and the rest is reckoned anew.
@@ -387,11 +395,11 @@ def whole_correct(policy: Any, models: Any, state: Any, n: int) -> Any:
     while kept < n:
         n = kept
         kept = regress(models, state, n)
-    kept = screen(policy, models, state, n)
+    kept = gate_sightings(policy, models, state, n)
     if kept < 0:
         return NOT_DEFINITE
     if kept == 0:
-        return dismiss(state, n * k)
+        return record_all_rejected(state, n * k)
     if kept < n:
         n = kept
         regress(models, state, n)
@@ -399,4 +407,4 @@ def whole_correct(policy: Any, models: Any, state: Any, n: int) -> Any:
         return NOT_DEFINITE
     forward(state.last.L, state.last.y, state.last.t, 0, n * k)
     whiten(state, n * k)
-    return settle(policy, state, n, k)
+    return commit_update(policy, state, n, k)
