@@ -372,7 +372,10 @@ def regress(models: Any, state: Any, n: int) -> int:
         return kept
     for r in range(rows):
         for q in range(r + 1):
-            total = error[r, q] + (models.R[r % k, q % k] if r // k == q // k else 0.0)
+            total = error[r, q]
+            if r // k == q // k:
+                total += models.R[r % k, q % k]
+                state.scratch.noise[r, q % k] = state.scratch.noise[q, r % k] = total
             for c in range(count):
                 total += half[r, c] * half[q, c]
             S[r, q] = S[q, r] = total

@@ -272,12 +272,12 @@ def test_the_change_of_frame_is_the_one_that_carries_the_covariance(motion: str,
 def test_composition_does_not_change_what_is_reported(motion: str, sensor: str) -> None:
     f = between_frames(motion, sensor)
     state, x, P = f._belief.state, f.x, f.P
-    assert np.hypot(*state.mean[:2]) > 0.1, "the robot has not left its frame"
+    assert np.hypot(*state.belief.mean[:2]) > 0.1, "the robot has not left its frame"
     pose, covariance = f.pose, f.pose_covariance
     compose(state)
     D = f._belief.dim
-    assert np.array_equal(state.mean[:3], np.zeros(3))
-    assert np.array_equal(np.tril(state.cov[:D, :D])[:, :3], np.zeros((D, 3)))
+    assert np.array_equal(state.belief.mean[:3], np.zeros(3))
+    assert np.array_equal(np.tril(state.belief.cov[:D, :D])[:, :3], np.zeros((D, 3)))
     np.testing.assert_allclose(f.x, x, atol=1e-12)
     np.testing.assert_allclose(f.P, P, atol=1e-12)
     np.testing.assert_allclose(f.pose, pose, atol=1e-12)
