@@ -1,123 +1,150 @@
-"""What the built-in models share: the protocol's methods on top of compiled functions."""
+"""What the built-in models share: types of compiled functions, checks of parameters, methods on compiled functions."""
 
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from slamkit.arrays import Array, finite_number, real_array
+from slamkit.compiled import compiled
 from slamkit.errors import InputError
 from slamkit.protocols import MotionFunctions, SensorFunctions
 
-Array = NDArray[np.float64]
+# Types of a motion model's compiled functions, as `slamkit.protocols.MotionFunctions` lists them.
+MOVE = "void(vector, vector, real, vector, vector)"
+MOTION_JACOBIANS = "void(vector, vector, real, vector, matrix, matrix)"
+CONTROL_NOISE = "void(vector, real, vector, matrix)"
+POSE_NOISE = "void(vector, vector, real, vector, matrix)"
+PREDICT_ALL = "void(vector, vector, real, vector, vector, matrix, matrix, matrix, matrix)"
+
+# Types of a sensor model's compiled functions, as `slamkit.protocols.SensorFunctions` lists them.
+PREDICT = RESIDUAL = INVERT = "void(vector, vector, vector, vector)"
+SENSOR_JACOBIANS = INVERSE_JACOBIANS = "void(vector, vector, vector, matrix, matrix)"
+LINEARISE = "void(vector, vector, vector, vector, vector, vector, matrix, matrix)"
+
+#: A sensor that measures a bearing or a range refuses a landmark closer than this [m].
+SMALLEST_RANGE = 1e-6
 
 
-def _numbers(name: str, value: ArrayLike) -> Array:
-    try:
-        return np.array(value, dtype=float, order="C")
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must hold numbers in equal rows: {error}") from None
+@compiled(POSE_NOISE)
+def no_pose_noise(pose: Any, u: Any, dt: float, params: Any, out: Any) -> None:
+    """Zero: all of the noise is in the control."""
+    out[:, :] = 0.0
 
 
 def vector(name: str, value: ArrayLike, length: int) -> Array:
-    """`value` as a new float vector of the given length, or an InputError that says what it is.
-
-    New, because compiled functions take neither a read-only array nor one with gaps.
-    """
-    a = _numbers(name, value)
+    """`value` as a new float vector of the given length, or an InputError. NaN and infinity are allowed."""
+    a = real_array(name, value)
     if a.shape != (length,):
         raise InputError(f"{name} has shape {a.shape}, expected ({length},)")
     return a
 
 
-def standard_deviation(name: str, value: float, *, zero: bool) -> float:
-    """A finite, non-negative (or positive) float, or an InputError."""
-    try:
-        sigma = float(value)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name} is {value!r}, expected a number") from None
-    square = sigma * sigma  # 1e-200 is positive, but as a variance it is zero
-    if sigma < 0 or not np.isfinite(square) or (square == 0 and not zero):
-        raise InputError(f"{name} is {sigma}, expected a finite number {'≥' if zero else '>'} 0, its square likewise")
-    return sigma
+def duration(value: float) -> float:
+    """`value` as a float, or an InputError. NaN and infinity are allowed."""
+    a = real_array("dt", value)
+    if a.ndim:
+        raise InputError(f"dt has shape {a.shape}, expected a number")
+    return float(a)
 
 
-def covariance(name: str, value: ArrayLike, size: int) -> Array:
-    """`value` as a symmetric positive semidefinite matrix of the given size, or an InputError."""
-    a = _numbers(name, value)
-    if a.shape != (size, size):
-        raise InputError(f"{name} has shape {a.shape}, expected ({size}, {size})")
-    if not np.all(np.isfinite(a)):
-        raise InputError(f"{name} is not finite")
-    scale = float(np.abs(a).max(initial=0.0))
-    if np.abs(a - a.T).max(initial=0.0) > 1e-9 * scale:
-        raise InputError(f"{name} is not symmetric: it differs from its transpose by {np.abs(a - a.T).max():.3g}")
-    smallest = float(np.linalg.eigvalsh(a)[0])
-    if smallest < -1e-12 * scale:
-        raise InputError(f"{name} is not positive semidefinite: smallest eigenvalue {smallest:.3g}")
-    symmetric: Array = (a + a.T) / 2
-    return symmetric
+def noise_parameter(name: str, value: float, *, zero: bool) -> float:
+    """A finite number > 0 (or ≥ 0 if `zero`) as a float, or an InputError.
+
+    Its square must be such a number too: 1e-200 is positive, but as a variance it is zero.
+    """
+    number = finite_number(name, value, lower=0.0)
+    square = number * number
+    if not np.isfinite(square) or (square == 0 and not zero):
+        raise InputError(f"{name} is {number}, expected a finite number {'≥' if zero else '>'} 0 (and its square too)")
+    return number
 
 
 def frozen(a: Array) -> Array:
-    """The same array, now read-only: what a frozen model hands out must not change it."""
+    """The same array, made read-only, so that nobody changes a frozen model through it."""
     a.flags.writeable = False
     return a
 
 
-class CompiledMotion:
+def refuse_negative_ranges(z: ArrayLike) -> None:
+    """Raise an InputError that names the first measurement (..., k) whose first number, the range, is negative."""
+    ranges = np.asarray(z, dtype=float)[..., 0]
+    if np.any(ranges < 0):
+        raise InputError(f"range is {np.extract(ranges < 0, ranges)[0]} m, expected a range ≥ 0")
+
+
+def parameter(unit: str, typical: float) -> dict[str, Any]:
+    """What a dataclass field says about a parameter: its unit, and a value to start with."""
+    return {"unit": unit, "typical": typical}
+
+
+class _Value:
+    """A model whose cached R stays read-only in copies."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        if "R" in state:  # NumPy's copies are writable
+            frozen(state["R"])
+
+
+class CompiledMotion(_Value):
     """Methods of :class:`slamkit.protocols.MotionModel` on top of four compiled functions.
 
     A subclass sets the class attributes `functions` and `control_dim` and the property `params`.
     """
 
-    functions: MotionFunctions
-    control_dim: int  #: m, the length of a control
+    functions: ClassVar[MotionFunctions]
+    control_dim: ClassVar[int]  #: m, the length of a control
+    columns: ClassVar[tuple[str, ...]] = ()  #: names of the control in a CSV file, if they identify the model
 
     @cached_property
     def params(self) -> Array:
-        """The model's parameters as one float64 vector, in the order that its functions read them."""
+        """The model's parameters as one float64 vector, in the order in which its functions read them."""
         raise AttributeError(f"{type(self).__name__} sets no params")
 
     def move(self, pose: ArrayLike, u: ArrayLike, dt: float) -> Array:
         """Pose (3,) [m, m, rad] after the control u (m,) has acted for dt [s]."""
         out = np.empty(3)
-        self.functions.move(vector("pose", pose, 3), vector("u", u, self.control_dim), float(dt), self.params, out)
+        self.functions.move(*self._arguments(pose, u, dt), self.params, out)
         return out
 
     def jacobians(self, pose: ArrayLike, u: ArrayLike, dt: float) -> tuple[Array, Array]:
         """F (3, 3) = ∂move/∂pose and G (3, m) = ∂move/∂u."""
         F, G = np.empty((3, 3)), np.empty((3, self.control_dim))
-        args = vector("pose", pose, 3), vector("u", u, self.control_dim), float(dt)
-        self.functions.jacobians(*args, self.params, F, G)
+        self.functions.jacobians(*self._arguments(pose, u, dt), self.params, F, G)
         return F, G
 
     def control_noise(self, u: ArrayLike, dt: float) -> Array:
         """Covariance (m, m) of the control's noise over a step."""
         out = np.empty((self.control_dim, self.control_dim))
-        self.functions.control_noise(vector("u", u, self.control_dim), float(dt), self.params, out)
+        self.functions.control_noise(vector("u", u, self.control_dim), duration(dt), self.params, out)
         return out
 
     def pose_noise(self, pose: ArrayLike, u: ArrayLike, dt: float) -> Array:
         """Covariance (3, 3) that a step adds to the pose directly."""
         out = np.empty((3, 3))
-        args = vector("pose", pose, 3), vector("u", u, self.control_dim), float(dt)
-        self.functions.pose_noise(*args, self.params, out)
+        self.functions.pose_noise(*self._arguments(pose, u, dt), self.params, out)
         return out
 
+    def _arguments(self, pose: ArrayLike, u: ArrayLike, dt: float) -> tuple[Array, Array, float]:
+        return vector("pose", pose, 3), vector("u", u, self.control_dim), duration(dt)
 
-class CompiledSensor:
-    """Methods of :class:`slamkit.protocols.SensorModel` on top of five compiled functions.
+
+class CompiledSensor(_Value):
+    """Methods of a sensor without an inverse on top of three compiled functions.
 
     A subclass sets the class attribute `functions` and the properties `params` and `R`.
     """
 
-    functions: SensorFunctions
+    functions: ClassVar[SensorFunctions]
+    columns: ClassVar[tuple[str, ...]] = ()  #: names of a measurement in a CSV file, if they identify the model
 
     @cached_property
     def params(self) -> Array:
-        """The model's parameters as one float64 vector, in the order that its functions read them."""
+        """The model's parameters as one float64 vector, in the order in which its functions read them."""
         return np.empty(0)
 
     @property
@@ -126,7 +153,7 @@ class CompiledSensor:
         raise AttributeError(f"{type(self).__name__} sets no R")
 
     def predict(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
-        """The measurement (k,) that this pose (3,) would make of this landmark (2,)."""
+        """The measurement (k,) of this landmark (2,) that is expected at this pose (3,)."""
         out = np.empty(len(self.R))
         self.functions.predict(vector("pose", pose, 3), vector("landmark", landmark, 2), self.params, out)
         return out
@@ -139,15 +166,20 @@ class CompiledSensor:
         return H_pose, H_landmark
 
     def residual(self, z: ArrayLike, z_hat: ArrayLike) -> Array:
-        """z - z_hat (k,), with angles wrapped to [-π, π); NaN where z cannot be a measurement."""
+        """z - z_hat (k,), with angles wrapped to [-π, π); NaN if z is not a possible measurement."""
         k = len(self.R)
         out = np.empty(k)
         self.functions.residual(vector("z", z, k), vector("z_hat", z_hat, k), self.params, out)
         return out
 
+
+class InvertibleSensor(CompiledSensor):
+    """Methods of :class:`slamkit.protocols.SensorModel` on top of five compiled functions."""
+
     def invert(self, pose: ArrayLike, z: ArrayLike) -> Array:
-        """The landmark (2,) that this pose (3,) sees as z (k,)."""
+        """The landmark (2,) that is measured as z (k,) from this pose (3,)."""
         out = np.empty(2)
+        assert self.functions.invert is not None
         self.functions.invert(vector("pose", pose, 3), vector("z", z, len(self.R)), self.params, out)
         return out
 
@@ -155,5 +187,6 @@ class CompiledSensor:
         """∂invert/∂pose (2, 3) and ∂invert/∂z (2, k)."""
         k = len(self.R)
         G_pose, G_z = np.empty((2, 3)), np.empty((2, k))
+        assert self.functions.inverse_jacobians is not None
         self.functions.inverse_jacobians(vector("pose", pose, 3), vector("z", z, k), self.params, G_pose, G_z)
         return G_pose, G_z

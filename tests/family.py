@@ -9,7 +9,7 @@ import numpy as np
 
 from slamkit import Log, Truth
 from slamkit.filters import FILTERS as ALL
-from slamkit.models import EulerUnicycle, Odometry, RangeBearing, RelativePosition, Unicycle
+from slamkit.models import Ackermann, EulerUnicycle, Odometry, RangeBearing, RelativePosition, Unicycle
 
 __all__ = [
     "ALL",
@@ -33,6 +33,7 @@ MOTIONS: dict[str, Any] = {
     "unicycle-pose-noise": Unicycle(0.1, 0.05, pose_noise=np.diag([1e-3, 2e-3, 1e-4])),
     "euler": EulerUnicycle(0.1, 0.05),
     "odometry": Odometry(0.02, 0.01, 0.02, 0.01),
+    "ackermann": Ackermann(0.1, 0.02, 1.5, encoder_left=0.4, ahead=0.8, left=0.2),
 }
 SENSORS: dict[str, Any] = {"range-bearing": RangeBearing(0.1, 0.03), "relative": RelativePosition(0.15)}
 #: To how many digits two ways of computing the same agree: regressions over close sigma points cancel some.

@@ -85,7 +85,7 @@ def test_wheel_holds_exactly_the_import_package(built: tuple[Path, Path]) -> Non
     with zipfile.ZipFile(built[1]) as wheel:
         held = {n for n in wheel.namelist() if ".dist-info/" not in n}
     assert held == sources()
-    assert {"slamkit/py.typed", "slamkit/models/py.typed", "slamkit/models/motion.py"} <= held
+    assert {"slamkit/py.typed", "slamkit/models/py.typed", "slamkit/models/unicycle.py"} <= held
 
 
 def test_sdist_holds_what_a_build_and_its_tests_need(built: tuple[Path, Path]) -> None:
@@ -112,7 +112,7 @@ print(json.dumps([slamkit.__file__, slamkit.models.__file__, metadata.version("s
     top, models, declared, own, names = json.loads(said)
     assert Path(top).is_relative_to(installed) and Path(models).parent == Path(top).parent / "models"
     assert declared == own
-    assert {"slamkit.models.motion", "slamkit.models.sensors", "slamkit.filters.ekf"} <= set(names)
+    assert {"slamkit.models.unicycle", "slamkit.models.range_bearing", "slamkit.filters.ekf"} <= set(names)
 
 
 def test_installed_command_answers(installed: Path) -> None:
@@ -124,6 +124,19 @@ def test_installed_command_answers(installed: Path) -> None:
 def test_importing_slamkit_is_cheap() -> None:
     code = "import sys, slamkit; print(*{'matplotlib', 'numba', 'pandas', 'dask'} & set(sys.modules))"
     assert run(sys.executable, "-c", code, cwd=ROOT).split() == []
+
+
+def test_a_checkout_without_symbolic_links_says_so(tmp_path: Path) -> None:
+    """On Windows git may write the link slamkit/models as a text file."""
+    shutil.copytree(ROOT / "slamkit", tmp_path / "slamkit", ignore=lambda *_: ["models", "__pycache__"])
+    (tmp_path / "slamkit" / "models").write_text("../models", encoding="utf-8")
+    # Without site-packages, so that no installed slamkit fills in for the missing package.
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import slamkit"
+    done = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=False)
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("ImportError: slamkit/models is not a link to the folder models")
+    assert "core.symlinks" in last
+    assert "ModuleNotFoundError" not in done.stderr
 
 
 def test_every_third_party_import_is_declared() -> None:
