@@ -288,6 +288,14 @@ def test_no_error_is_given_for_fewer_than_three_matched_poses() -> None:
     assert fields(whole)[:3] == pytest.approx([0, 0, 0], abs=1e-9)
 
 
+def test_one_true_pose_aligns_positions_only() -> None:
+    times, poses = trajectory(0)
+    e = evaluate(times, poses + np.array([1, 2, 0.3]), Truth(times[:1], poses[:1]))
+    np.testing.assert_allclose(e.alignment, [-1, -2, 0], atol=1e-12)
+    np.testing.assert_allclose(e.poses[:, :2], poses[:, :2], atol=1e-12)
+    np.testing.assert_allclose(e.poses[0, 2], se2.wrap(poses[0, 2] + 0.3), atol=1e-12)
+
+
 @pytest.mark.parametrize("moves", [(False, False), (True, False), (False, True)])
 def test_a_robot_that_stands_still_gives_no_heading_error(moves: tuple[bool, bool]) -> None:
     times, poses = trajectory(0)
