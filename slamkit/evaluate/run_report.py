@@ -6,7 +6,7 @@ import json
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -18,7 +18,7 @@ from slamkit.arrays import Array
 from slamkit.errors import InputError
 from slamkit.evaluate.dead_reckoning import dead_reckoning
 from slamkit.evaluate.trajectory import Evaluation, evaluate
-from slamkit.logs import History, Log, PathLike, replacing
+from slamkit.logs import History, Log, PathLike, replacing, write_files
 from slamkit.protocols import MotionModel
 
 if TYPE_CHECKING:
@@ -189,49 +189,15 @@ def write_run(folder: PathLike, assessment: Assessment, log: Log, title: str | N
     title : str, optional
         Of the figure.
     """
-    with _together(Path(folder)) as staged:
+    with tempfile.TemporaryDirectory() as temporary:
+        staged = Path(temporary)
         write_json(staged / "summary.json", assessment.summary)
         assessment.history.write_tum(staged / "trajectory.txt")
         assessment.history.write_csv(staged)
         assessment.history.save(staged / "history.npz")
         write_figure(staged / "overview.png", assessment.overview(log, title))
-
-
-@contextmanager
-def _together(folder: Path) -> Iterator[Path]:
-    """Give an empty folder. At the end its files move to `folder`; after an error `folder` is what it was before."""
-    is_new = not folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        with tempfile.TemporaryDirectory(prefix=".", suffix=".tmp", dir=folder) as temporary:
-            staged, kept = Path(temporary, "new"), Path(temporary, "old")
-            staged.mkdir()
-            kept.mkdir()
-            yield staged
-            _move_all(staged, folder, kept)
-    except BaseException:
-        if is_new:
-            with suppress(OSError):
-                folder.rmdir()
-        raise
-
-
-def _move_all(staged: Path, folder: Path, kept: Path) -> None:
-    """Move the files of `staged` to `folder`; after an error, bring back the files that they replaced from `kept`."""
-    moved: list[str] = []
-    try:
-        for file in sorted(staged.iterdir()):
-            target = folder / file.name
-            if target.exists():
-                os.replace(target, kept / file.name)
-            moved.append(file.name)
-            os.replace(file, target)
-    except BaseException:
-        for name in moved:
-            (folder / name).unlink(missing_ok=True)
-        for file in kept.iterdir():
-            os.replace(file, folder / file.name)
-        raise
+        contents = {file.name: file.read_bytes() for file in staged.iterdir()}
+    write_files(folder, contents)
 
 
 @contextmanager
