@@ -5,7 +5,7 @@ from slamkit.plots.comparison import plot_bars, plot_claim, plot_cost, plot_cove
 from slamkit.plots.covariance import correlation, correlation_density, ellipses, plot_correlation, plot_density
 from slamkit.plots.figure import new_figure, save
 from slamkit.plots.run import overview, plot_errors, plot_map, plot_nis
-from slamkit.plots.style import STYLES, Style, register_style, style
+from slamkit.plots.styles import STYLES, Style, register_style, style
 
 __all__ = [
     "STYLES",

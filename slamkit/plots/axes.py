@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slamkit.arrays import Array
 from slamkit.errors import InputError
-from slamkit.plots.style import style
+from slamkit.plots.styles import style
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -12,7 +12,7 @@ from slamkit.arrays import Array
 from slamkit.errors import InputError
 from slamkit.evaluate.consistency import chi2_bounds
 from slamkit.plots.axes import Artists, add_legend, checked_probability, count, draw_lines, log_scale, log_ticks
-from slamkit.plots.style import style
+from slamkit.plots.styles import style
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

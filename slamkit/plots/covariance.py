@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from slamkit.arrays import Array
 from slamkit.errors import InputError
 from slamkit.plots.axes import Artists, add_legend, checked_probability
-from slamkit.plots.style import STYLES
+from slamkit.plots.styles import STYLES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

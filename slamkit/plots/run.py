@@ -26,7 +26,7 @@ from slamkit.plots.axes import (
 )
 from slamkit.plots.covariance import ellipses
 from slamkit.plots.figure import new_figure
-from slamkit.plots.style import style
+from slamkit.plots.styles import style
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

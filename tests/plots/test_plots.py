@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -448,6 +449,117 @@ def test_a_filter_keeps_its_colour_in_every_figure() -> None:
         assert {c.lower() for c in colours} == {color.lower()}
 
 
+OWN = ("mine", "my EKF", "ekf, gate 0.99", "ekf, gate 0.9", "module:MyEKF", "a", "b", "c", "$x$ filter", "δ")
+
+
+def _looks(names: tuple[str, ...]) -> dict[str, list[tuple[Any, ...]]]:
+    """What tells the names apart in each figure that compares filters: a look for each name."""
+    t = np.arange(4.0)
+    values = dict.fromkeys(names, t + 1)
+    cost = plots.plot_cost(axes(), dict.fromkeys(names, 1e-5), dict.fromkeys(names, 0.1))
+    bars = plots.plot_bars(axes(), dict.fromkeys(names, 2.0), label="NEES")
+    claims = [plots.plot_claim(axes(), name, t, t, t + 1)["band"][0] for name in names]
+    lines = {
+        "nees": plots.plot_nees(axes(), t, values, 3),
+        "gauge": plots.plot_gauge(axes(), t, values),
+        "coverage": plots.plot_coverage(axes(), t / 3, dict.fromkeys(names, t / 3)),
+    }
+    return {
+        **{
+            kind: [
+                (line.get_color(), line.get_marker(), str(line._unscaled_dash_pattern))
+                for line in (drawn[name][0] for name in names)
+            ]
+            for kind, drawn in lines.items()
+        },
+        "cost": [(cost[name][0].get_color(), cost[name][0].get_marker()) for name in names],
+        "bars": [(to_hex(bars[name][0].get_facecolor()), row) for row, name in enumerate(names)],
+        "claims": [(to_hex(band.get_facecolor()[0]), name) for band, name in zip(claims, names, strict=True)],
+    }
+
+
+def test_own_names_differ_in_every_comparative_figure() -> None:
+    for kind, looks in _looks((*FILTERS, *OWN)).items():
+        assert len(set(looks)) == len(FILTERS) + len(OWN), kind
+    # In grey the dashes and the markers tell all of them apart.
+    styles = [plots.style(name) for name in (*FILTERS, *OWN)]
+    assert len({(s.dashes, s.marker) for s in styles}) == len(styles)
+
+
+@pytest.mark.parametrize("sight", SIGHT)
+def test_seven_own_names_have_colours_that_differ_for_every_sight(sight: str, monkeypatch: Any) -> None:
+    monkeypatch.setattr("slamkit.plots.styles._looks", {})
+    colours = [s.color for s in plots.STYLES.values()] + [plots.style(name).color for name in OWN[:7]]
+    seen = [_lab(color, SIGHT[sight]) for color in colours]
+    assert min(float(np.linalg.norm(a - b)) for a, b in combinations(seen, 2)) > 14
+    assert all(_lab(color, SIGHT["normal"])[0] < 75 for color in colours)
+
+
+@given(st.lists(st.text(min_size=1), unique=True, max_size=60))
+@settings(max_examples=30)
+def test_no_two_names_share_a_style(names: list[str]) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("slamkit.plots.styles._looks", {})
+        looks = [plots.style(name) for name in names]
+        assert looks == [plots.style(name) for name in reversed(names)][::-1]
+    own = [s for name, s in zip(names, looks, strict=True) if name not in plots.STYLES]
+    every = [*plots.STYLES.values(), *own]
+    assert len({(s.color, s.dashes, s.marker) for s in every}) == len(every)
+
+
+def test_a_name_of_ones_own_has_the_same_style_in_every_process() -> None:
+    code = "from slamkit import plots; print(*(plots.style(n) for n in {}), sep='\\n')"
+    first, second = (
+        subprocess.run([sys.executable, "-c", code.format(names)], capture_output=True, text=True, check=True).stdout
+        for names in (("mine", "yours", "third"), ("mine", "yours", "third", "fourth"))
+    )
+    assert second.startswith(first) and len(set(first.splitlines())) == 3
+    alone = subprocess.run([sys.executable, "-c", code.format(("third",))], capture_output=True, text=True, check=True)
+    assert alone.stdout == first.splitlines()[2] + "\n"
+
+
+def test_a_registered_style_is_used_in_every_figure(monkeypatch: Any) -> None:
+    monkeypatch.setattr("slamkit.plots.styles.STYLES", dict(plots.STYLES))
+    chosen = plots.Style("My EKF", "#123456", (3.0, 1.0), "H")
+    plots.register_style("registered", chosen)
+    assert plots.style("registered") == chosen
+    looks = _looks(("registered", "ekf"))
+    assert {look[0][0].lower() for look in looks.values()} == {"#123456"}
+    plots.register_style("registered", replace(chosen, color="#654321"))
+    assert plots.style("registered").color == "#654321"
+
+
+@pytest.mark.parametrize(
+    ("name", "style"),
+    [
+        ("", plots.Style("", "#123456", (), "o")),
+        (3, plots.Style("", "#123456", (), "o")),
+        ("mine", "#123456"),
+        ("mine", plots.Style),
+        ("mine", plots.Style("", "no colour", (), "o")),
+        ("mine", plots.Style("", "#123456", (1.0, 0.0), "o")),
+        ("mine", plots.Style("", "#123456", "--", "o")),  # type: ignore[arg-type]
+        ("mine", plots.Style("", "#123456", (), "no marker")),
+    ],
+)
+def test_what_is_no_style_is_refused_and_nothing_registered(name: Any, style: Any) -> None:
+    before = dict(plots.STYLES)
+    with pytest.raises(InputError, match="expected"):
+        plots.register_style(name, style)
+    assert before == plots.STYLES
+
+
+def test_names_and_ids_are_written_as_they_are() -> None:
+    history, truth = run(L=2)
+    odd = replace(history, filter="gate $0.9$", landmark_ids=("$\\foo$", "$x$"))
+    draw(plots.overview(odd, truth=truth))  # as mathematics, \\foo is an error
+    t = np.arange(4.0)
+    ax = axes()
+    plots.plot_gauge(ax, t, {"gate $0.9$": t})
+    draw(ax.figure)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == [r"gate \$0.9\$"]
+
+
 def test_truth_and_dead_reckoning_look_the_same_beside_any_filter() -> None:
     history, truth = run()
     looks = set()
@@ -512,6 +624,42 @@ def test_a_shared_legend_names_everything_once() -> None:
     legend = plots.shared_legend(panels[0].figure, panels)
     draw(panels[0].figure)
     assert [text.get_text() for text in legend.get_texts()] == [plots.style(name).label for name in FILTERS]
+
+
+# -- Jupyter -----------------------------------------------------------------------------------------------------------
+
+
+def test_jupyter_displays_a_figure_exactly_once() -> None:
+    """IPython displays the value of a cell by its `_repr_png_`, and at the end of a cell every figure of pyplot."""
+    code = """
+import sys
+import numpy as np
+from slamkit import plots
+from slamkit.logs import History
+with plots.new_figure(3, 2) as figure:
+    plots.plot_gauge(figure.subplots(), np.arange(3.0), {"ekf": np.ones(3)})
+png = figure._repr_png_()
+import matplotlib.pyplot
+assert matplotlib.pyplot.get_fignums() == []
+assert figure._repr_html_() is None
+sys.stdout.buffer.write(png)
+"""
+    png = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout
+    assert png.startswith(b"\x89PNG\r\n")
+    width, height = (int.from_bytes(png[k : k + 4], "big") for k in (16, 20))
+    assert 200 < width < 400 and 100 < height < 300
+
+
+def test_the_overview_displays_itself() -> None:
+    history, truth = run()
+    figure: Any = plots.overview(history, truth=truth)
+    assert figure._repr_png_().startswith(b"\x89PNG")
+
+
+def test_a_figure_can_be_pickled() -> None:
+    history, truth = run()
+    again = pickle.loads(pickle.dumps(plots.overview(history, truth=truth, size=(6.0, 5.0))))
+    assert again._repr_png_().startswith(b"\x89PNG")
 
 
 # -- files and imports -------------------------------------------------------------------------------------------------
