@@ -94,7 +94,7 @@ def plot_map(
     at = np.unique(np.linspace(0, max(len(path) - 1, 0), pose_ellipses + 1)[1:].round().astype(int))[: len(path)]
     if len(at):
         P = C @ history.pose_covariances[at][:, :2, :2] @ C.T
-        outlines, label = ellipses(path[at], P, probability), f"{probability:.0%} of the pose"
+        outlines, label = ellipses(path[at], P, probability), f"{probability:.0%} ellipse, pose"
         artists["pose_ellipses"] = [draw_outlines(ax, outlines, look.color, label, filled=True)]
     if truth is not None and len(truth.landmarks):
         places = np.array(list(truth.landmarks.values()))
@@ -105,7 +105,7 @@ def plot_map(
         how = {"color": mapped.color, "marker": mapped.marker, "markersize": 5, "markeredgewidth": 1.1}
         artists["landmarks"] = [*ax.plot(*positions.T, linestyle="none", label=mapped.label, zorder=2.8, **how)]
         outlines = ellipses(positions, C @ history.landmark_covariances @ C.T, probability)
-        label = f"{probability:.0%} of the landmarks"
+        label = f"{probability:.0%} ellipse, landmark"
         artists["landmark_ellipses"] = [draw_outlines(ax, outlines, mapped.color, label, filled=False)]
         if len(positions) <= max_ids:
             artists["ids"] = _write_ids(ax, history.landmark_ids, positions)
@@ -182,12 +182,12 @@ def plot_errors(
         error = se2.compose(frame, history.poses[rows]) - truth.poses[matched]
         error[:, 2] = se2.wrap(error[:, 2])
         how = _line_or_dots(truth.times, history.times, 3.0) | {"color": style("truth").color, "linewidth": 0.8}
-        label = f"error of the {look.label}"
+        label = f"error ({look.label})"
         artists["error"] = [
             ax.plot(*break_at_gaps(elapsed[rows], elapsed[rows], e), label=label, zorder=2, **how)[0]
             for ax, e in zip(axes, (error * to_units).T, strict=True)
         ]
-    for ax, label in zip(axes, ("x [m]", "y [m]", "heading [deg]"), strict=True):
+    for ax, label in zip(axes, ("x error [m]", "y error [m]", "heading\nerror [deg]"), strict=True):
         ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
         ax.set_ylabel(label)
         ax.margins(x=0)

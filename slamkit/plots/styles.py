@@ -55,9 +55,9 @@ STYLES: dict[str, Style] = {
     "oc-ukf": Style("OC-UKF", "#3B3B00", (5.0, 1.2, 1.0, 1.2, 1.0, 1.2, 1.0, 1.2), ">"),
 }
 
-# Looks for all other names. The colours satisfy the same limit as those of STYLES, and differ from them by it. The
-# numbers of colours, dash patterns and markers have no common factor, so 210 names pass before a look repeats.
-_COLORS = ("#789850", "#8000F8", "#D8A8A8", "#080058", "#B8B858", "#A80090", "#805840")
+# Looks for all other names. The colours differ from each other and from those of STYLES by the same limit. The numbers
+# of colours, dash patterns and markers have no common factor, so that 210 names have different looks.
+_COLORS = ("#406840", "#8000F8", "#789850", "#A80090", "#0000B8", "#A85020", "#A878F0")
 _DASHES = (
     (12.0, 2.0),
     (2.0, 1.0, 2.0, 3.0),

@@ -1,4 +1,4 @@
-"""Laws of the figures: what is drawn is the data, in the stated units; looks are stable, distinct and never overlap."""
+"""Laws of the figures: they show the data in the stated units, and styles are stable, distinct and never overlap."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def run(seed: int = 0, K: int = 120, L: int = 6, M: int = 400, start: float = 0.0) -> tuple[History, Truth]:
-    """A history whose errors are drawn from the covariances that it claims, and its truth."""
+    """A history whose errors are drawn from its covariances, and its truth."""
     rng = np.random.default_rng(seed)
     t = start + 0.5 * np.arange(1, K + 1)
     phi = 0.05 * np.arange(K)
@@ -69,7 +69,7 @@ def axes(n: int = 1, size: tuple[float, float] = (6.0, 4.0)) -> Any:
 
 
 def draw(figure: Figure) -> Any:
-    """Lay the figure out and draw it; the renderer."""
+    """Lay the figure out, draw it, and return the renderer."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return canvas.get_renderer()
@@ -104,12 +104,12 @@ def test_ellipses_move_with_their_gaussian(seed: int) -> None:
     C = se2.rotation(T[2])
     moved = plots.ellipses(se2.transform(T, mu), C @ P @ C.T)
     original = se2.transform(T, plots.ellipses(mu, P).reshape(-1, 2)).reshape(moved.shape)
-    # The first point of an outline is free: compare the regions by their extents along fixed directions.
+    # An outline may begin at any point: compare the extents of the regions along fixed directions.
     directions = np.stack([np.cos(np.arange(12)), np.sin(np.arange(12))])
     np.testing.assert_allclose((moved @ directions).max(1), (original @ directions).max(1), atol=2e-2)
 
 
-def test_degenerate_covariances_have_the_ellipse_that_their_rank_allows() -> None:
+def test_degenerate_covariances_give_a_segment_or_a_point() -> None:
     P = np.array([np.zeros((2, 2)), [[1.0, 1.0], [1.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]], np.full((2, 2), np.nan)])
     point, segment, indefinite, unknown = plots.ellipses(np.ones((4, 2)), P)
     assert np.all(point == 1.0)
@@ -129,12 +129,12 @@ def test_an_indefinite_landmark_is_counted_in_the_legend() -> None:
 
 
 @pytest.mark.parametrize("probability", [0.0, 1.0, -0.2, np.nan])
-def test_ellipses_refuse_what_is_no_probability(probability: float) -> None:
+def test_ellipses_refuse_an_invalid_probability(probability: float) -> None:
     with pytest.raises(InputError, match="between 0 and 1"):
         plots.ellipses([[0, 0]], [np.eye(2)], probability)
 
 
-def test_ellipses_refuse_unequal_numbers() -> None:
+def test_ellipses_refuse_different_numbers_of_centres_and_covariances() -> None:
     with pytest.raises(InputError, match="2 centres and 1 cov"):
         plots.ellipses(np.zeros((2, 2)), np.eye(2)[None])
 
@@ -193,7 +193,7 @@ def test_errors_are_estimate_minus_truth_in_metres_and_degrees() -> None:
     drawn = plots.plot_errors(axes(3), history, truth)
     expected = history.poses - truth.poses
     expected[:, 2] = np.degrees(se2.wrap(expected[:, 2]))
-    assert np.abs(expected[:, 2]).max() < 90  # the run crosses ±π: an unwrapped error would be near 360
+    assert np.abs(expected[:, 2]).max() < 90  # the run crosses ±π, where an unwrapped error would be near 360
     for line, e in zip(drawn["error"], expected.T, strict=True):
         np.testing.assert_allclose(line.get_xdata(), history.times - history.times[0])
         np.testing.assert_allclose(line.get_ydata(), e, atol=1e-9)
@@ -336,7 +336,7 @@ def test_an_exactly_known_state_has_no_correlation() -> None:
 
 
 @given(SEEDS, st.floats(0, 0.99), st.floats(0, 0.99))
-def test_density_falls_with_the_threshold_and_ignores_what_is_inside_a_block(seed: int, a: float, b: float) -> None:
+def test_density_decreases_with_the_threshold_and_ignores_each_block(seed: int, a: float, b: float) -> None:
     rng = np.random.default_rng(seed)
     P = _covariances(rng, 1, 9, (1,) * 9)[0]
     assert plots.correlation_density(P, min(a, b)) >= plots.correlation_density(P, max(a, b))
@@ -382,7 +382,7 @@ def test_correlation_image_has_fixed_limits_and_lines_between_blocks() -> None:
         (np.eye(4), r"expected \(3 \+ 2N, 3 \+ 2N\)"),
     ],
 )
-def test_what_is_no_slam_covariance_is_refused(P: Any, message: str) -> None:
+def test_a_matrix_that_is_not_a_slam_covariance_is_refused(P: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         plots.correlation_density(P)
 
@@ -404,7 +404,7 @@ SIGHT = {
 
 
 def _lab(color: str, sight: Any) -> Any:
-    """CIELAB (D65) of a colour as it is seen."""
+    """CIELAB (D65) of a colour for one kind of sight."""
     srgb = np.array([int(color[i : i + 2], 16) for i in (1, 3, 5)]) / 255
     linear = np.clip(np.asarray(sight) @ np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4), 0, 1)
     to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
@@ -414,7 +414,7 @@ def _lab(color: str, sight: Any) -> Any:
 
 
 @pytest.mark.parametrize("sight", SIGHT)
-def test_colours_differ_for_every_sight(sight: str) -> None:
+def test_colours_differ_for_every_kind_of_sight(sight: str) -> None:
     seen = {name: _lab(s.color, SIGHT[sight]) for name, s in plots.STYLES.items()}
     closest = min((float(np.linalg.norm(seen[a] - seen[b])), a, b) for a, b in combinations(seen, 2))
     assert closest[0] > 14, closest
@@ -425,7 +425,7 @@ def test_filters_differ_in_grey_by_dashes_and_markers() -> None:
     assert set(FILTERS) <= set(plots.STYLES)
     assert len({s.dashes for s in looks}) == len(FILTERS)
     assert len({s.marker for s in looks}) == len(FILTERS)
-    # Everything is darker than a mid grey on paper: it stays visible in print.
+    # All colours are dark enough to be visible in print.
     assert all(_lab(s.color, SIGHT["normal"])[0] < 75 for s in looks)
 
 
@@ -487,7 +487,7 @@ def test_own_names_differ_in_every_comparative_figure() -> None:
 
 
 @pytest.mark.parametrize("sight", SIGHT)
-def test_seven_own_names_have_colours_that_differ_for_every_sight(sight: str, monkeypatch: Any) -> None:
+def test_seven_own_names_have_colours_that_differ_for_every_kind_of_sight(sight: str, monkeypatch: Any) -> None:
     monkeypatch.setattr("slamkit.plots.styles._looks", {})
     colours = [s.color for s in plots.STYLES.values()] + [plots.style(name).color for name in OWN[:7]]
     seen = [_lab(color, SIGHT[sight]) for color in colours]
@@ -542,7 +542,7 @@ def test_a_registered_style_is_used_in_every_figure(monkeypatch: Any) -> None:
         ("mine", plots.Style("", "#123456", (), "no marker")),
     ],
 )
-def test_what_is_no_style_is_refused_and_nothing_registered(name: Any, style: Any) -> None:
+def test_an_invalid_style_is_refused_and_not_registered(name: Any, style: Any) -> None:
     before = dict(plots.STYLES)
     with pytest.raises(InputError, match="expected"):
         plots.register_style(name, style)
@@ -606,16 +606,16 @@ def test_overview_takes_the_truth_of_the_log() -> None:
     assert "truth" not in [t.get_text() for t in plots.overview(history).axes[0].get_legend().get_texts()]
 
 
-def test_errors_share_their_time_axis_alone() -> None:
+def test_error_panels_share_only_their_time_axis() -> None:
     history, truth = run()
     panels = {ax.get_ylabel(): ax for ax in plots.overview(history, truth=truth).axes}
-    x, y, heading = (panels[label] for label in ("x [m]", "y [m]", "heading [deg]"))
+    x, y, heading = (panels[label] for label in ("x error [m]", "y error [m]", "heading\nerror [deg]"))
     heading.set_xlim(3, 7)
     assert x.get_xlim() == y.get_xlim() == (3, 7)
     assert len({x.get_ylim(), y.get_ylim(), heading.get_ylim()}) == 3
 
 
-def test_a_shared_legend_names_everything_once() -> None:
+def test_a_shared_legend_lists_each_label_once() -> None:
     t = np.arange(5.0)
     panels = axes(2)
     for ax in panels:
@@ -686,14 +686,14 @@ def test_dots_an_inch_set_the_size_of_a_png(tmp_path: Any) -> None:
     np.testing.assert_allclose(np.array(high[:2]) / low[:2], 2, rtol=0.02)
 
 
-def test_a_file_of_unknown_kind_or_place_is_refused(tmp_path: Any) -> None:
+def test_a_file_with_another_ending_or_a_missing_folder_is_refused(tmp_path: Any) -> None:
     with pytest.raises(InputError, match=r"'\.docx', expected one of \.png"):
         plots.save(Figure(), tmp_path / "a.docx")
     with pytest.raises(InputError, match="no folder"):
         plots.save(Figure(), tmp_path / "none" / "a.png")
 
 
-def test_importing_plots_leaves_the_heavy_packages_out() -> None:
+def test_importing_plots_does_not_import_heavy_packages() -> None:
     code = "import sys, slamkit.plots; print(*sorted({'matplotlib', 'pandas', 'numba'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == ""
 
@@ -756,7 +756,7 @@ def test_nees_is_the_mean_over_the_runs_that_have_a_value() -> None:
     )
 
 
-def test_nees_axis_is_logarithmic_where_a_filter_leaves_the_band_far_behind() -> None:
+def test_nees_axis_is_logarithmic_if_a_filter_is_far_above_the_band() -> None:
     t = np.arange(5.0)
     for level, scale in ((3.0, "linear"), (300.0, "log")):
         ax = axes()
@@ -777,7 +777,7 @@ def test_claim_draws_every_run_the_claim_and_the_spread() -> None:
     assert vertices[:, 1].max() == pytest.approx(2 * np.sqrt(np.mean(deviations**2, 0)).max())
 
 
-def test_claim_draws_some_of_many_runs_but_counts_all() -> None:
+def test_claim_draws_some_of_many_runs_but_uses_all() -> None:
     rng = np.random.default_rng(3)
     t, errors, deviations = np.arange(1000.0), rng.normal(size=(50, 1000)), rng.uniform(0.5, 2, (50, 1000))
     drawn = plots.plot_claim(axes(), "ekf", t, errors, deviations, sigmas=1.0, lines=5, points=100)
@@ -809,7 +809,7 @@ def test_long_runs_are_drawn_by_means_over_steps() -> None:
     assert ax.get_xlabel() == "time [s], means of 10 steps"
 
 
-def test_gauge_axis_starts_at_zero_so_that_a_fall_is_seen_in_proportion() -> None:
+def test_gauge_axis_starts_at_zero_so_that_a_decrease_is_in_proportion() -> None:
     t, ax = np.arange(9.0), axes()
     drawn = plots.plot_gauge(ax, t, {"ekf": 2.3 - 0.1 * t, "oc": np.full((4, 9), 2.3)})
     assert ax.get_ylim()[0] == 0
@@ -823,7 +823,7 @@ def test_coverage_is_drawn_in_percent() -> None:
     np.testing.assert_allclose(drawn["ekf"][0].get_xydata(), 100 * np.c_[levels, levels**2])
 
 
-def test_bars_stand_in_the_given_order_with_their_values() -> None:
+def test_bars_are_in_the_given_order_with_their_values() -> None:
     values = {"oc": 3.4, "ekf": 11.85, "fej": float("nan")}
     ax = axes()
     drawn = plots.plot_bars(ax, values, {"ekf": 2.46}, label="pose NEES", band=(2.36, 3.72))
@@ -837,7 +837,7 @@ def test_bars_stand_in_the_given_order_with_their_values() -> None:
     assert len(drawn["fej"]) == 1
 
 
-def test_bars_of_a_ratio_show_what_a_value_differs_by() -> None:
+def test_bars_of_a_ratio_reach_from_the_expected_to_the_actual_value() -> None:
     values = {"ekf": 8.0, "fej": 0.5, "oc": 1.0, "ukf": float("nan"), "ideal": 0.0}
     ax = axes()
     drawn = plots.plot_bars(ax, values, {"ekf": 7.9}, label="NEES a dof", band=(0.8, 1.2), reference=1.0)
