@@ -241,6 +241,7 @@ def plot_nis(
         ax.text(0.5, 0.5, "no innovations", transform=ax.transAxes, ha="center", va="center", color="0.4")
         ax.set_yticks([])
         return artists
+    few = np.count_nonzero(known) < 1000
     one = chi2_bounds(d, 1, p)
     low, high = float(one.lower), float(one.upper)
     artists["band"] = [
@@ -253,9 +254,9 @@ def plot_nis(
             color=look.color,
             marker=".",
             linestyle="none",
-            markersize=2.5,
+            markersize=4.0 if few else 2.5,
             markeredgewidth=0,
-            alpha=0.35,
+            alpha=0.7 if few else 0.35,
             label=f"one sighting ({look.label})",
             rasterized=True,
             zorder=1.5,
