@@ -95,7 +95,8 @@ def style(name: str) -> Style:
         start, first = crc32(name.encode()), n * (len(_looks) // n)
         _looks[name] = next(k for i in range(n) if (k := first + (start + i) % n) not in taken)
     k = _looks[name]
-    label = name.replace("$", r"\$")  # as it is written, not as mathematics
+    # The label shows the name as it is: Matplotlib reads $…$ as mathematics and hides labels that begin with _.
+    label = (" " if name.startswith("_") else "") + name.replace("$", r"\$")
     return Style(label, _COLORS[k % len(_COLORS)], _DASHES[k % len(_DASHES)], _MARKERS[k % len(_MARKERS)])
 
 

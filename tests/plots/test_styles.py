@@ -181,9 +181,9 @@ def test_names_and_ids_are_written_as_they_are() -> None:
     draw(plots.overview(odd, truth=truth))  # as mathematics, \\foo is an error
     t = np.arange(4.0)
     ax = axes()
-    plots.plot_gauge(ax, t, {"gate $0.9$": t})
+    plots.plot_gauge(ax, t, {"gate $0.9$": t, "_mine": t})
     draw(ax.figure)
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == [r"gate \$0.9\$"]
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == [r"gate \$0.9\$", " _mine"]
 
 
 def test_truth_and_dead_reckoning_look_the_same_beside_any_filter() -> None:
