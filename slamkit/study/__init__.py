@@ -1527,10 +1527,7 @@ def _markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 @contextmanager
 def _figure(width: float, height: float) -> Iterator[Figure]:
     """An empty figure in the style of `slamkit.plots`, which holds while it is drawn."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
     from slamkit import plots
 
-    with matplotlib.rc_context(plots._PAPER):
-        yield Figure(figsize=(width, height), layout="constrained")
+    with plots.new_figure(width, height) as figure:
+        yield figure
