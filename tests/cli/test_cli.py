@@ -862,7 +862,7 @@ def test_compare_judges_a_log_without_a_truth_by_what_needs_none(tmp_path: Path)
     got = strict_json(numbers)
     assert got["ekf"]["position_rmse_m"] is None and f" {got['ekf']['nis_per_dof']:.3f} " in text
     assert "site: a recorded log" in text and "nan" not in text
-    assert "Claim to have learnt the gauge, which nothing measures: ekf" in text
+    assert "claim to have learnt the gauge, which no measurement observes: ekf" in text
     assert "Failed or diverged: ideal 1 of 1 (InputError: the ideal filter needs the truth" in text
 
 
