@@ -21,6 +21,7 @@ from typing import Literal, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from slamkit.datasets.dataset import DataSet, Option, Recording, Source
 from slamkit.errors import InputError, LogFileError
 from slamkit.logs import Log, Truth
 from slamkit.models import RangeBearing, Unicycle
@@ -460,3 +461,44 @@ def _subjects(measurements: _Table, subject_of: dict[int, int]) -> NDArray[np.in
 def _since(start: float, stamps: Array) -> Array:
     """Seconds from the start, to the microsecond: the last digits of a Unix time in a double are rounding."""
     return np.round(stamps - start, 6)
+
+
+def recording(
+    path: str | PathLike[str],
+    robot: int,
+    *,
+    delay: float = COMMAND_DELAY,
+    correct_landmarks: bool = True,
+    speed_scale: float = 1.0,
+    range_scale: float = RANGE_SCALE,
+) -> Recording:
+    """Read the log of one robot with the default models and a few sentences about what was left out.
+
+    Parameters and errors are those of :func:`read`.
+    """
+    data = read(
+        path, robot, delay=delay, correct_landmarks=correct_landmarks, speed_scale=speed_scale, range_scale=range_scale
+    )
+    motion, sensor = models()
+    of_set = "MRCLAM" if data.set_number is None else f"MRCLAM set {data.set_number}"
+    notes = [f"Left out: {data.robot_sightings} sightings of robots, {data.unknown_barcodes} of unknown barcodes"]
+    return Recording(data.log, f"{of_set}, robot {data.robot}", motion, sensor, GATE, notes=tuple(notes))
+
+
+MRCLAM = DataSet(
+    name="mrclam",
+    description="UTIAS multi-robot data set (MRCLAM): five robots and fifteen landmarks in a hall, nine sets.",
+    citation="Leung, Halpern, Barfoot, Liu, The UTIAS multi-robot cooperative localization and mapping dataset, "
+    "International Journal of Robotics Research 30(8), 2011, 969-974",
+    path="PATH",
+    path_help="Zip or folder of an MRCLAM set, as it was downloaded.",
+    reader=recording,
+    options=(
+        Option("robot", int, "Whose log: 1 to 5.", metavar="K"),
+        Option("delay", float, "How much later than stamped the commands act (s), 0 to 60.", COMMAND_DELAY),
+        Option("correct_landmarks", bool, "Exchange landmarks 11 and 17 in the truth of set 1.", True),
+        Option("speed_scale", float, "Factor on the commanded forward speed.", 1.0),
+        Option("range_scale", float, "Factor on the measured ranges.", RANGE_SCALE),
+    ),
+    source=Source("ftp://asrl3.utias.utoronto.ca/MRCLAM", "MRCLAM{number}.zip", range(1, 10), check_zip),
+)
