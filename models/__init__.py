@@ -1,11 +1,16 @@
-"""The pluggable models: how a robot moves, and how it sees a landmark."""
+"""The pluggable models: how a robot moves, and what a sensor measures of a landmark."""
 
-from slamkit.models.check import check_model, numeric_jacobian
-from slamkit.models.files import model_from_dict, model_to_dict
-from slamkit.models.motion import EulerUnicycle, Odometry, Unicycle
-from slamkit.models.sensors import RangeBearing, RelativePosition
+from slamkit.models.conformance import check_model
+from slamkit.models.numeric_jacobian import numeric_jacobian
+from slamkit.models.odometry import Odometry
+from slamkit.models.range_bearing import RangeBearing
+from slamkit.models.registry import MOTIONS, SENSORS, model_from_dict, model_to_dict, parameters_of
+from slamkit.models.relative_position import RelativePosition
+from slamkit.models.unicycle import EulerUnicycle, Unicycle
 
 __all__ = [
+    "MOTIONS",
+    "SENSORS",
     "EulerUnicycle",
     "Odometry",
     "RangeBearing",
@@ -15,4 +20,5 @@ __all__ = [
     "model_from_dict",
     "model_to_dict",
     "numeric_jacobian",
+    "parameters_of",
 ]

@@ -1,123 +1,174 @@
-"""What the built-in models share: the protocol's methods on top of compiled functions."""
+"""What the built-in models share: types of compiled functions, checks of parameters, methods on compiled functions."""
 
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from slamkit.arrays import Array
+from slamkit.compiled import compiled
 from slamkit.errors import InputError
 from slamkit.protocols import MotionFunctions, SensorFunctions
 
-Array = NDArray[np.float64]
+# Types of a motion model's compiled functions, as `slamkit.protocols.MotionFunctions` lists them.
+MOVE = "void(vector, vector, real, vector, vector)"
+MOTION_JACOBIANS = "void(vector, vector, real, vector, matrix, matrix)"
+CONTROL_NOISE = "void(vector, real, vector, matrix)"
+POSE_NOISE = "void(vector, vector, real, vector, matrix)"
+PREDICT_ALL = "void(vector, vector, real, vector, vector, matrix, matrix, matrix, matrix)"
+
+# Types of a sensor model's compiled functions, as `slamkit.protocols.SensorFunctions` lists them.
+PREDICT = RESIDUAL = INVERT = "void(vector, vector, vector, vector)"
+SENSOR_JACOBIANS = INVERSE_JACOBIANS = "void(vector, vector, vector, matrix, matrix)"
+LINEARISE = "void(vector, vector, vector, vector, vector, vector, matrix, matrix)"
 
 
-def _numbers(name: str, value: ArrayLike) -> Array:
+@compiled(POSE_NOISE)
+def no_pose_noise(pose: Any, u: Any, dt: float, params: Any, out: Any) -> None:
+    """Zero: all of the noise is in the control."""
+    out[:, :] = 0.0
+
+
+def numbers(name: str, value: ArrayLike) -> Array:
+    """`value` as a new float array, or an InputError.
+
+    It is a new array because compiled functions accept neither read-only arrays nor arrays with gaps.
+    """
     try:
-        return np.array(value, dtype=float, order="C")
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must hold numbers in equal rows: {error}") from None
+        given = np.asarray(value)
+        if given.dtype.kind not in "fiubO":  # complex numbers would lose their imaginary part
+            raise InputError(f"{name} has dtype {given.dtype}, expected real numbers")
+        return np.array(given, dtype=float, order="C")
+    except (TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{name} must hold real numbers in equal rows: {error}") from None
 
 
 def vector(name: str, value: ArrayLike, length: int) -> Array:
-    """`value` as a new float vector of the given length, or an InputError that says what it is.
-
-    New, because compiled functions take neither a read-only array nor one with gaps.
-    """
-    a = _numbers(name, value)
+    """`value` as a new float vector of the given length, or an InputError. NaN and infinity are allowed."""
+    a = numbers(name, value)
     if a.shape != (length,):
         raise InputError(f"{name} has shape {a.shape}, expected ({length},)")
     return a
 
 
-def standard_deviation(name: str, value: float, *, zero: bool) -> float:
-    """A finite, non-negative (or positive) float, or an InputError."""
+def real(name: str, value: float) -> float:
+    """`value` as a float, or an InputError. NaN and infinity are allowed."""
     try:
-        sigma = float(value)
+        if np.asarray(value).dtype.kind in "fiuO":
+            return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name} is {value!r}, expected a number") from None
-    square = sigma * sigma  # 1e-200 is positive, but as a variance it is zero
-    if sigma < 0 or not np.isfinite(square) or (square == 0 and not zero):
-        raise InputError(f"{name} is {sigma}, expected a finite number {'≥' if zero else '>'} 0, its square likewise")
-    return sigma
+        pass
+    raise InputError(f"{name} is {value!r}, expected a number")
+
+
+def noise_parameter(name: str, value: float, *, zero: bool) -> float:
+    """A finite number > 0 (or ≥ 0 if `zero`) as a float, or an InputError.
+
+    Its square must be such a number too: 1e-200 is positive, but as a variance it is zero.
+    """
+    number = real(name, value)
+    square = number * number
+    if number < 0 or not np.isfinite(square) or (square == 0 and not zero):
+        raise InputError(f"{name} is {number}, expected a finite number {'≥' if zero else '>'} 0 (and its square too)")
+    return number
 
 
 def covariance(name: str, value: ArrayLike, size: int) -> Array:
     """`value` as a symmetric positive semidefinite matrix of the given size, or an InputError."""
-    a = _numbers(name, value)
+    a = numbers(name, value)
     if a.shape != (size, size):
         raise InputError(f"{name} has shape {a.shape}, expected ({size}, {size})")
     if not np.all(np.isfinite(a)):
         raise InputError(f"{name} is not finite")
-    scale = float(np.abs(a).max(initial=0.0))
-    if np.abs(a - a.T).max(initial=0.0) > 1e-9 * scale:
-        raise InputError(f"{name} is not symmetric: it differs from its transpose by {np.abs(a - a.T).max():.3g}")
-    smallest = float(np.linalg.eigvalsh(a)[0])
-    if smallest < -1e-12 * scale:
-        raise InputError(f"{name} is not positive semidefinite: smallest eigenvalue {smallest:.3g}")
-    symmetric: Array = (a + a.T) / 2
+    scale = float(np.abs(a).max(initial=0.0)) or 1.0
+    asymmetry = float(np.abs(a - a.T).max(initial=0.0))
+    if asymmetry > 1e-9 * scale:
+        raise InputError(f"{name} is not symmetric: it differs from its transpose by {asymmetry:.3g}")
+    smallest = float(np.linalg.eigvalsh(a / scale)[0])
+    if smallest < -1e-12:
+        raise InputError(f"{name} is not positive semidefinite: smallest eigenvalue {smallest * scale:.3g}")
+    symmetric: Array = a / 2 + a.T / 2
     return symmetric
 
 
 def frozen(a: Array) -> Array:
-    """The same array, now read-only: what a frozen model hands out must not change it."""
+    """The same array, made read-only, so that nobody changes a frozen model through it."""
     a.flags.writeable = False
     return a
 
 
-class CompiledMotion:
+def parameter(unit: str, typical: float) -> dict[str, Any]:
+    """What a dataclass field says about a parameter: its unit, and a value to start with."""
+    return {"unit": unit, "typical": typical}
+
+
+class _Value:
+    """A model that is copied and pickled without what it has cached."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in ("params", "R")}
+
+
+class CompiledMotion(_Value):
     """Methods of :class:`slamkit.protocols.MotionModel` on top of four compiled functions.
 
     A subclass sets the class attributes `functions` and `control_dim` and the property `params`.
     """
 
-    functions: MotionFunctions
-    control_dim: int  #: m, the length of a control
+    functions: ClassVar[MotionFunctions]
+    control_dim: ClassVar[int]  #: m, the length of a control
+    columns: ClassVar[tuple[str, ...]] = ()  #: names of the control in a CSV file, if they identify the model
 
     @cached_property
     def params(self) -> Array:
-        """The model's parameters as one float64 vector, in the order that its functions read them."""
+        """The model's parameters as one float64 vector, in the order in which its functions read them."""
         raise AttributeError(f"{type(self).__name__} sets no params")
 
     def move(self, pose: ArrayLike, u: ArrayLike, dt: float) -> Array:
         """Pose (3,) [m, m, rad] after the control u (m,) has acted for dt [s]."""
         out = np.empty(3)
-        self.functions.move(vector("pose", pose, 3), vector("u", u, self.control_dim), float(dt), self.params, out)
+        self.functions.move(*self._arguments(pose, u, dt), self.params, out)
         return out
 
     def jacobians(self, pose: ArrayLike, u: ArrayLike, dt: float) -> tuple[Array, Array]:
         """F (3, 3) = ∂move/∂pose and G (3, m) = ∂move/∂u."""
         F, G = np.empty((3, 3)), np.empty((3, self.control_dim))
-        args = vector("pose", pose, 3), vector("u", u, self.control_dim), float(dt)
-        self.functions.jacobians(*args, self.params, F, G)
+        self.functions.jacobians(*self._arguments(pose, u, dt), self.params, F, G)
         return F, G
 
     def control_noise(self, u: ArrayLike, dt: float) -> Array:
         """Covariance (m, m) of the control's noise over a step."""
         out = np.empty((self.control_dim, self.control_dim))
-        self.functions.control_noise(vector("u", u, self.control_dim), float(dt), self.params, out)
+        self.functions.control_noise(vector("u", u, self.control_dim), real("dt", dt), self.params, out)
         return out
 
     def pose_noise(self, pose: ArrayLike, u: ArrayLike, dt: float) -> Array:
         """Covariance (3, 3) that a step adds to the pose directly."""
         out = np.empty((3, 3))
-        args = vector("pose", pose, 3), vector("u", u, self.control_dim), float(dt)
-        self.functions.pose_noise(*args, self.params, out)
+        self.functions.pose_noise(*self._arguments(pose, u, dt), self.params, out)
         return out
 
+    def _arguments(self, pose: ArrayLike, u: ArrayLike, dt: float) -> tuple[Array, Array, float]:
+        return vector("pose", pose, 3), vector("u", u, self.control_dim), real("dt", dt)
 
-class CompiledSensor:
+
+class CompiledSensor(_Value):
     """Methods of :class:`slamkit.protocols.SensorModel` on top of five compiled functions.
 
     A subclass sets the class attribute `functions` and the properties `params` and `R`.
     """
 
-    functions: SensorFunctions
+    functions: ClassVar[SensorFunctions]
+    columns: ClassVar[tuple[str, ...]] = ()  #: names of a measurement in a CSV file, if they identify the model
 
     @cached_property
     def params(self) -> Array:
-        """The model's parameters as one float64 vector, in the order that its functions read them."""
+        """The model's parameters as one float64 vector, in the order in which its functions read them."""
         return np.empty(0)
 
     @property
@@ -126,7 +177,7 @@ class CompiledSensor:
         raise AttributeError(f"{type(self).__name__} sets no R")
 
     def predict(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
-        """The measurement (k,) that this pose (3,) would make of this landmark (2,)."""
+        """The measurement (k,) of this landmark (2,) that is expected at this pose (3,)."""
         out = np.empty(len(self.R))
         self.functions.predict(vector("pose", pose, 3), vector("landmark", landmark, 2), self.params, out)
         return out
@@ -139,14 +190,14 @@ class CompiledSensor:
         return H_pose, H_landmark
 
     def residual(self, z: ArrayLike, z_hat: ArrayLike) -> Array:
-        """z - z_hat (k,), with angles wrapped to [-π, π); NaN where z cannot be a measurement."""
+        """z - z_hat (k,), with angles wrapped to [-π, π); NaN if z is not a possible measurement."""
         k = len(self.R)
         out = np.empty(k)
         self.functions.residual(vector("z", z, k), vector("z_hat", z_hat, k), self.params, out)
         return out
 
     def invert(self, pose: ArrayLike, z: ArrayLike) -> Array:
-        """The landmark (2,) that this pose (3,) sees as z (k,)."""
+        """The landmark (2,) that is measured as z (k,) from this pose (3,)."""
         out = np.empty(2)
         self.functions.invert(vector("pose", pose, 3), vector("z", z, len(self.R)), self.params, out)
         return out

@@ -1,5 +1,16 @@
 """Filter-based landmark SLAM that can be trusted."""
 
+try:
+    from slamkit.models import check_model, numeric_jacobian
+except ModuleNotFoundError as error:
+    if error.name != "slamkit.models":
+        raise
+    # slamkit/models is a symbolic link to models/, which git on Windows may write as a text file.
+    raise ImportError(
+        "slamkit/models is not a link to the folder models: this checkout was made without symbolic links. Install "
+        "slamkit (pip install .) and run it outside of the checkout, or check it out again after "
+        "'git config core.symlinks true'"
+    ) from None
 from slamkit.belief import Storage
 from slamkit.errors import InputError, LogFileError, ModelError, SlamkitError
 from slamkit.filters import (
@@ -15,7 +26,6 @@ from slamkit.filters import (
     RobocentricEKFSLAM,
 )
 from slamkit.logs import History, Log, Scan, Truth
-from slamkit.models.check import check_model, numeric_jacobian
 from slamkit.simulate import World, simulate
 
 __all__ = [

@@ -85,7 +85,7 @@ def test_wheel_holds_exactly_the_import_package(built: tuple[Path, Path]) -> Non
     with zipfile.ZipFile(built[1]) as wheel:
         held = {n for n in wheel.namelist() if ".dist-info/" not in n}
     assert held == sources()
-    assert {"slamkit/py.typed", "slamkit/models/py.typed", "slamkit/models/motion.py"} <= held
+    assert {"slamkit/py.typed", "slamkit/models/py.typed", "slamkit/models/unicycle.py"} <= held
 
 
 def test_sdist_holds_what_a_build_and_its_tests_need(built: tuple[Path, Path]) -> None:
@@ -112,7 +112,7 @@ print(json.dumps([slamkit.__file__, slamkit.models.__file__, metadata.version("s
     top, models, declared, own, names = json.loads(said)
     assert Path(top).is_relative_to(installed) and Path(models).parent == Path(top).parent / "models"
     assert declared == own
-    assert {"slamkit.models.motion", "slamkit.models.sensors", "slamkit.filters.ekf"} <= set(names)
+    assert {"slamkit.models.unicycle", "slamkit.models.range_bearing", "slamkit.filters.ekf"} <= set(names)
 
 
 def test_installed_command_answers(installed: Path) -> None:

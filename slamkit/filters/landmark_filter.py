@@ -27,7 +27,7 @@ from slamkit.errors import (
     UnsupportedError,
 )
 from slamkit.logs import History, Log, Scan, Schedule, decode_id, encode_id, read_archive, reading, write_archive
-from slamkit.models.files import model_from_dict, model_to_dict
+from slamkit.models import model_from_dict, model_to_dict
 from slamkit.protocols import MotionFunctions, MotionModel, SensorFunctions, SensorModel
 from slamkit.se2 import wrap
 

@@ -137,7 +137,7 @@ def test_numba_functions_may_be_compiled_for_arrays_already() -> None:
 
 def _inlined() -> Any:
     """The relative-position functions need nothing from elsewhere, so they stand for a user's own."""
-    from slamkit.models.sensors import RelativePosition
+    from slamkit.models import RelativePosition
 
     return RelativePosition.functions
 

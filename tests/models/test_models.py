@@ -23,8 +23,15 @@ from numpy.typing import NDArray
 
 from slamkit import se2
 from slamkit.errors import InputError, ModelError
-from slamkit.models import EulerUnicycle, Odometry, RangeBearing, RelativePosition, Unicycle
-from slamkit.models.check import check_model, numeric_jacobian
+from slamkit.models import (
+    EulerUnicycle,
+    Odometry,
+    RangeBearing,
+    RelativePosition,
+    Unicycle,
+    check_model,
+    numeric_jacobian,
+)
 from slamkit.protocols import MotionFunctions, MotionModel, SensorFunctions, SensorModel
 
 Array = NDArray[np.float64]
@@ -775,7 +782,7 @@ class Mounted:
 
 
 @numba.njit
-def numba_sight(pose, landmark, z, params, z_hat, y, H_pose, H_landmark):  # type: ignore[no-untyped-def]
+def numba_linearise(pose, landmark, z, params, z_hat, y, H_pose, H_landmark):  # type: ignore[no-untyped-def]
     numba_predict(pose, landmark, params, z_hat)
     numba_residual(z, z_hat, params, y)
     numba_jacobians(pose, landmark, params, H_pose, H_landmark)
@@ -784,7 +791,7 @@ def numba_sight(pose, landmark, z, params, z_hat, y, H_pose, H_landmark):  # typ
 class Watcher(Mounted):
     """It says at one blow what it sees."""
 
-    functions = Mounted.functions._replace(sight=numba_sight)
+    functions = Mounted.functions._replace(linearise=numba_linearise)
 
 
 @numba.njit
@@ -817,7 +824,7 @@ def numba_pose_noise(pose, u, dt, params, out):  # type: ignore[no-untyped-def]
 
 
 @numba.njit
-def numba_drive(pose, u, dt, params, out, F, G, sigma, noise):  # type: ignore[no-untyped-def]
+def numba_predict_all(pose, u, dt, params, out, F, G, sigma, noise):  # type: ignore[no-untyped-def]
     numba_move(pose, u, dt, params, out)
     numba_motion_jacobians(pose, u, dt, params, F, G)
     numba_control_noise(u, dt, params, sigma)
@@ -853,7 +860,7 @@ class Scooter:
 class Driven(Scooter):
     """It says at one blow what it does."""
 
-    functions = Scooter.functions._replace(drive=numba_drive)
+    functions = Scooter.functions._replace(predict_all=numba_predict_all)
 
 
 @pytest.mark.parametrize(
@@ -1149,20 +1156,20 @@ class WrapsOnce(Polar):
         return d - [2 * PI if d[0] >= PI else -2 * PI if d[0] < -PI else 0.0, 0.0]
 
 
-@breaks("residual is z - z_hat but for whole turns", alone=False)
+@breaks("residual is z - z_hat apart from whole turns", alone=False)
 class Reversed(Polar):
     def residual(self, z: Array, z_hat: Array) -> Array:
         return super().residual(z_hat, z)
 
 
-@breaks("residual is z - z_hat but for whole turns")
+@breaks("residual is z - z_hat apart from whole turns")
 class WrapsHalf(Polar):
     def residual(self, z: Array, z_hat: Array) -> Array:
         d = super().residual(z, z_hat)
         return np.array([(d[0] + PI / 2) % PI - PI / 2, d[1]])
 
 
-@breaks("residual is z - z_hat but for whole turns", alone=False)
+@breaks("residual is z - z_hat apart from whole turns", alone=False)
 class WrapsToPositive(Polar):
     def residual(self, z: Array, z_hat: Array) -> Array:
         return np.array([(z[0] - z_hat[0]) % (2 * PI), z[1] - z_hat[1]])
@@ -1245,29 +1252,29 @@ class ResidualInPlace(Polar):
 
 @numba.njit
 def numba_still(pose, u, dt, params, out, F, G, sigma, noise):  # type: ignore[no-untyped-def]
-    numba_drive(pose, u, dt, params, out, F, G, sigma, noise)
+    numba_predict_all(pose, u, dt, params, out, F, G, sigma, noise)
     noise[2, 2] = 0.0
 
 
-@breaks("drive is move, jacobians, control_noise and pose_noise")
+@breaks("predict_all is move, jacobians, control_noise and pose_noise")
 class Still(Scooter):
-    functions = Scooter.functions._replace(drive=numba_still)
+    functions = Scooter.functions._replace(predict_all=numba_still)
 
 
 @numba.njit
 def numba_turned(pose, landmark, z, params, z_hat, y, H_pose, H_landmark):  # type: ignore[no-untyped-def]
-    numba_sight(pose, landmark, z, params, z_hat, y, H_pose, H_landmark)
+    numba_linearise(pose, landmark, z, params, z_hat, y, H_pose, H_landmark)
     numba_residual(z_hat, z, params, y)
 
 
-@breaks("sight is predict, residual and jacobians")
+@breaks("linearise is predict, residual and jacobians")
 class Turned(Mounted):
-    functions = Mounted.functions._replace(sight=numba_turned)
+    functions = Mounted.functions._replace(linearise=numba_turned)
 
 
-@breaks("functions.sight raises no error", alone=False)
-class NoSight(Mounted):
-    functions = Mounted.functions._replace(sight=numba_still)
+@breaks("functions.linearise raises no error", alone=False)
+class WrongLinearise(Mounted):
+    functions = Mounted.functions._replace(linearise=numba_still)
 
 
 @numba.njit
