@@ -109,8 +109,8 @@ class World:
                 raise InputError(f"{name} is {getattr(self, name)}, expected {expected}")
 
     def __repr__(self) -> str:
-        models = f"{type(self.motion).__name__}, {type(self.sensor).__name__}"
-        return f"World({self.name!r}: {len(self.landmarks)} landmarks, {len(self.controls)} steps of {self.dt:g} s, {models})"
+        size = f"{len(self.landmarks)} landmarks, {len(self.controls)} steps of {self.dt:g} s"
+        return f"World({self.name!r}: {size}, {type(self.motion).__name__}, {type(self.sensor).__name__})"
 
     def _repr_html_(self) -> str:
         """A table of the world's properties, for a notebook."""
