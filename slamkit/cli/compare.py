@@ -11,10 +11,10 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn
 
 from slamkit.cli import options
-from slamkit.cli.csv_folder import read_settings
+from slamkit.cli.csv_folder import FILES, read_settings
 from slamkit.cli.errors import RunError, reason, running
 from slamkit.cli.filters import find_filters
-from slamkit.cli.models import choose, columns_of
+from slamkit.cli.models import check_fit, choose, columns_of
 from slamkit.cli.models_file import Settings, read_models
 from slamkit.cli.outputs import Outputs
 from slamkit.cli.printing import bar, comparison_table, failures, output, remarks
@@ -22,6 +22,7 @@ from slamkit.cli.worlds import find_world
 from slamkit.errors import InputError
 from slamkit.evaluate.run_report import write_figure, write_json
 from slamkit.filters import FILTERS
+from slamkit.logs import Log
 from slamkit.simulate import WORLDS, World
 
 if TYPE_CHECKING:
@@ -123,17 +124,22 @@ class _Source:
     world: World | Path
     settings: Settings
     columns: Mapping[str, tuple[str, ...]]
+    increments: bool
 
     @property
     def recorded(self) -> bool:
         return isinstance(self.world, Path)
+
+    def file(self, what: str) -> object:
+        """What has the controls ("motion") or the measurements ("sensor"), for a message."""
+        return self.world / FILES[what] if isinstance(self.world, Path) else f"the world {self.world.name}"
 
 
 def _find_source(text: str) -> _Source:
     # A folder comes before module:function, because C:\logs has a colon too.
     if text not in WORLDS and Path(text).is_dir():
         settings, columns = read_settings(Path(text))
-        return _Source(Path(text), settings, columns)
+        return _Source(Path(text), settings, columns, Log.read_csv(text).increments)
     if text not in WORLDS and ":" not in text:
         raise InputError(
             f"--world is {text!r}, expected one of {', '.join(WORLDS)}, a folder of CSV files or module:function"
@@ -141,7 +147,7 @@ def _find_source(text: str) -> _Source:
     world = find_world(text)
     settings = Settings(world.motion, world.sensor, world.pose, world.pose_covariance)
     columns = {"motion": columns_of(type(world.motion)), "sensor": columns_of(type(world.sensor))}
-    return _Source(world, settings, columns)
+    return _Source(world, settings, columns, world.increments)
 
 
 def _choose_models(
@@ -149,13 +155,13 @@ def _choose_models(
 ) -> Settings:
     """The settings of every filter: those of the options, of ``--models``, and of the log or world."""
     settings = given.over(source.settings)
-    folder = source.world if isinstance(source.world, Path) else None
-    return Settings(
-        motion=choose("motion", source.columns["motion"], *motion, settings.motion, folder and folder / "controls.csv"),
-        sensor=choose(
-            "sensor", source.columns["sensor"], *sensor, settings.sensor, folder and folder / "observations.csv"
-        ),
-    ).over(settings)
+    chosen = {
+        "motion": choose("motion", source.columns["motion"], *motion, settings.motion),
+        "sensor": choose("sensor", source.columns["sensor"], *sensor, settings.sensor),
+    }
+    for what, model in chosen.items():
+        check_fit(what, model, source.columns[what], source.file(what), source.increments)
+    return Settings(**chosen).over(settings)
 
 
 def study_with_bar(

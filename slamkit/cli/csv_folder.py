@@ -9,7 +9,10 @@ from slamkit.cli.models_file import MODELS_FILE, Settings, read_models, write_mo
 from slamkit.logs import Log, csv_columns
 from slamkit.simulate import World
 
-__all__ = ["read_settings", "write_log"]
+__all__ = ["FILES", "read_settings", "write_log"]
+
+
+FILES = {"motion": "controls.csv", "sensor": "observations.csv"}  #: which file has the numbers of which model
 
 
 def read_settings(folder: Path) -> tuple[Settings, dict[str, tuple[str, ...]]]:

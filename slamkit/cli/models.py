@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from slamkit.errors import InputError
-from slamkit.models import MOTIONS, SENSORS, parameters_of
+from slamkit.errors import InputError, LogFileError
+from slamkit.models import MOTIONS, SENSORS, Odometry, parameters_of
 from slamkit.registry import Registry
 
-__all__ = ["choose", "columns_of", "described"]
+__all__ = ["check_fit", "choose", "columns_of", "described"]
 
 KINDS: dict[str, Registry[Any]] = {"motion": MOTIONS, "sensor": SENSORS}
 
@@ -29,7 +28,6 @@ def choose(
     name: str | None,
     noise: str | None,
     given: Any,
-    file: str | Path | None = None,
 ) -> Any:
     """The model that the options name, else the one that the data say, else the one whose columns these are.
 
@@ -42,14 +40,11 @@ def choose(
         The options ``--motion`` and ``--motion-noise``, or ``--sensor`` and ``--sensor-noise``.
     given : model or None
         What models.json, the data set or the world says.
-    file : path, optional
-        The file with the columns, for messages.
 
     Raises
     ------
     InputError
-        A name is unknown, the noise does not fit the model, the columns belong to another model, or nothing tells
-        which model made the log.
+        A name is unknown, the noise does not fit the model, or nothing tells which model made the log.
     """
     kinds = KINDS[what]
     if name is not None:
@@ -63,9 +58,36 @@ def choose(
                 f"the columns {','.join(columns)} do not tell the {what} model, expected --{what} {'|'.join(kinds)}"
             )
         kind = kinds[name]
-    model = given if noise is None and kind is type(given) else _make(what, name, kind, noise)
-    _check_columns(what, name, kind, columns, file)
-    return model
+    return given if noise is None and kind is type(given) else _make(what, name, kind, noise)
+
+
+def check_fit(what: str, model: Any, columns: Sequence[str], where: object, increments: bool) -> None:
+    """Refuse a model whose numbers are not those of the log.
+
+    Parameters
+    ----------
+    what : {"motion", "sensor"}
+    model : MotionModel or SensorModel
+    columns : sequence of str
+        Names of the columns of the controls or the measurements; empty if they have none.
+    where : object
+        The file or the world that has them, for the message.
+    increments : bool
+        Whether the log's controls are increments.
+
+    Raises
+    ------
+    LogFileError
+        A built-in motion model is given controls of the other kind, or the columns belong to another model.
+    """
+    kind, kinds = type(model), KINDS[what]
+    numbers = ",".join(columns)
+    if what == "motion" and kind in kinds.values() and isinstance(model, Odometry) != increments:
+        rates = f"{'increments' if increments else 'rates'} {numbers}".strip()
+        raise LogFileError(f"{where} has {rates}, which {model!r} cannot take")
+    own, known = columns_of(kind), [columns_of(k) for k in kinds.values()]
+    if own and columns and tuple(columns) in known and own != tuple(columns):
+        raise LogFileError(f"{where} has {numbers}, but the {what} model {_name_of(kinds, kind)} takes {','.join(own)}")
 
 
 def described(what: str, model: Any) -> str:
@@ -100,11 +122,3 @@ def _make(what: str, name: str, kind: Any, noise: str | None) -> Any:
     except TypeError as error:
         given = f"--{what}-noise {noise}" if noise is not None else f"no --{what}-noise"
         raise InputError(f"--{what} {name} with {given} cannot be made: {error}") from None
-
-
-def _check_columns(what: str, name: str, kind: type, columns: Sequence[str], file: str | Path | None) -> None:
-    """Refuse columns that have the names of another model's numbers."""
-    own, known = columns_of(kind), [columns_of(k) for k in KINDS[what].values()]
-    if own and tuple(columns) in known and own != tuple(columns):
-        where = "" if file is None else f"{file} has "
-        raise InputError(f"--{what} is {name}, which takes {','.join(own)}, but {where}{','.join(columns)} was given")

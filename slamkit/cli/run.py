@@ -13,20 +13,19 @@ from typer.core import TyperGroup
 
 from slamkit.cli import options
 from slamkit.cli.beginning import beginning
-from slamkit.cli.csv_folder import read_settings
+from slamkit.cli.csv_folder import FILES, read_settings
 from slamkit.cli.estimate import estimate
 from slamkit.cli.filters import find_filter
-from slamkit.cli.models import choose, described
+from slamkit.cli.models import check_fit, choose, columns_of, described
 from slamkit.cli.models_file import Settings, read_models
 from slamkit.cli.outputs import Outputs
 from slamkit.cli.printing import output, run_table
 from slamkit.datasets import DATASETS, REQUIRED, DataSet, Option
-from slamkit.errors import LogFileError
 from slamkit.logs import Log
-from slamkit.models import MOTIONS, Odometry
 
 __all__ = ["RunGroup"]
 
+PANEL = "Options of this data set"
 CSV = "csv"  #: the name of a log in the form of CSV files
 CSV_HELP = (
     "Folder with controls.csv (t,v,omega or t,rot1,trans,rot2) and observations.csv (t,id,range,bearing or t,id,x,y). "
@@ -45,10 +44,9 @@ class Source:
     folder: Path | None = None  #: of a log in the form of CSV files
     notes: tuple[str, ...] = ()
 
-    def file(self, what: str) -> Path | None:
-        """The file with the columns of the controls or of the measurements."""
-        name = {"motion": "controls.csv", "sensor": "observations.csv"}[what]
-        return None if self.folder is None else self.folder / name
+    def file(self, what: str) -> object:
+        """What has the controls ("motion") or the measurements ("sensor"), for a message."""
+        return self.title if self.folder is None else self.folder / FILES[what]
 
 
 def run(
@@ -76,13 +74,14 @@ def run(
     given = Settings(gate=gate, order=order).over(Settings() if models is None else read_models(models))
     given = given.over(source.settings)
     chosen = {
-        what: choose(what, source.columns[what], name, noise, current, source.file(what))
+        what: choose(what, source.columns[what], name, noise, current)
         for what, name, noise, current in (
             ("motion", motion, motion_noise, given.motion),
             ("sensor", sensor, sensor_noise, given.sensor),
         )
     }
-    _check_increments(source, chosen["motion"])
+    for what, model in chosen.items():
+        check_fit(what, model, source.columns[what], source.file(what), source.log.increments)
     settings = Settings(**chosen).over(given)
     log = source.log if max_steps is None else beginning(source.log, max_steps)
     run_ = estimate(lambda: settings.make(kind), log, settings.start, outputs, source.title, quiet)
@@ -90,15 +89,7 @@ def run(
     output(run_table(source.title, run_), *source.notes, used, quiet=quiet, on_stderr=outputs.json_on_stdout)
 
 
-def _check_increments(source: Source, motion: Any) -> None:
-    """Refuse a built-in motion model for controls of the other kind."""
-    if type(motion) in MOTIONS.values() and isinstance(motion, Odometry) != source.log.increments:
-        kind = "increments" if source.log.increments else "rates"
-        where = source.file("motion") or "the log"
-        raise LogFileError(f"{where} has {kind} {','.join(source.columns['motion'])}, which {motion!r} cannot take")
-
-
-def read_csv(folder: Path) -> Source:
+def read_csv(path: Path) -> Source:
     """A log in the form of CSV files.
 
     Raises
@@ -106,9 +97,9 @@ def read_csv(folder: Path) -> Source:
     LogFileError
         A file is missing or damaged.
     """
-    log = Log.read_csv(folder)
-    settings, columns = read_settings(folder)
-    return Source(log, str(folder), settings, columns, folder)
+    log = Log.read_csv(path)
+    settings, columns = read_settings(path)
+    return Source(log, str(path), settings, columns, path)
 
 
 def read_data_set(data_set: DataSet, path: Path, values: Mapping[str, Any]) -> Source:
@@ -129,7 +120,7 @@ def read_data_set(data_set: DataSet, path: Path, values: Mapping[str, Any]) -> S
         pose_covariance=recording.pose_covariance,
         gate=recording.gate,
     )
-    columns: dict[str, tuple[str, ...]] = {"motion": (), "sensor": ()}
+    columns = {"motion": columns_of(type(recording.motion)), "sensor": columns_of(type(recording.sensor))}
     return Source(recording.log, recording.title, settings, columns, notes=recording.notes)
 
 
@@ -186,9 +177,13 @@ def _parameter(option: Option) -> tuple[Any, Any]:
     flag = f"--{option.name.replace('_', '-')}"
     if option.kind is bool and option.default is True:
         flag = f" /--no-{flag[2:]}"  # only the flag that changes the default
-    chosen = f" One of {', '.join(option.choices)}." if option.choices else ""
-    completion = options.completing(option.choices) if option.choices else None
-    described = typer.Option(flag, metavar=option.metavar, help=f"{option.help}{chosen}", autocompletion=completion)
+    described = typer.Option(
+        flag,
+        metavar=option.metavar,
+        help=f"{option.help} One of {', '.join(option.choices)}." if option.choices else option.help,
+        autocompletion=options.completing(option.choices) if option.choices else None,
+        rich_help_panel=PANEL,
+    )
     kind = option.kind if option.default is not None else option.kind | None
     return Annotated[kind, described], inspect.Parameter.empty if option.default is REQUIRED else option.default
 

@@ -19,11 +19,23 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from slamkit import EKFSLAM, History, InputError, Log, Truth, cli, plots, study
+from slamkit import EKFSLAM, History, InputError, Log, Truth, plots, study
+from slamkit.cli import app, demo
+from slamkit.cli.beginning import beginning
 from slamkit.datasets import mrclam
 from slamkit.evaluate import run_report
 from slamkit.filters import FILTERS
-from slamkit.models import EulerUnicycle, Odometry, RangeBearing, RelativePosition, Unicycle, model_to_dict
+from slamkit.models import (
+    MOTIONS,
+    SENSORS,
+    EulerUnicycle,
+    Odometry,
+    RangeBearing,
+    RelativePosition,
+    Unicycle,
+    model_to_dict,
+    parameters_of,
+)
 from slamkit.simulate import WORLDS, simulate, standing_world
 
 KEYS = {
@@ -43,7 +55,7 @@ KEYS = {
 
 
 def slamkit(*arguments: object) -> Result:
-    return CliRunner().invoke(cli.app, [str(a) for a in arguments], prog_name="slamkit")
+    return CliRunner().invoke(app, [str(a) for a in arguments], prog_name="slamkit")
 
 
 def succeeds(*arguments: object) -> str:
@@ -54,10 +66,10 @@ def succeeds(*arguments: object) -> str:
     return done.stdout
 
 
-def fails(*arguments: object) -> str:
-    """The one line on stderr of a command that fails."""
+def fails(*arguments: object, code: int = 2) -> str:
+    """The one line on stderr of a command that fails: 2 for wrong use, 1 for a run that failed."""
     done = slamkit(*arguments)
-    assert done.exit_code == 2, done.output
+    assert done.exit_code == code, done.output
     assert isinstance(done.exception, SystemExit)
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()
@@ -152,12 +164,12 @@ def test_console_script_starts_quickly_and_without_heavy_imports() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="signals as on POSIX")
 def test_ctrl_c_of_a_process_exits_with_130() -> None:
     code = (
-        "import os, signal; from slamkit import cli\n"
+        "import os, signal; from slamkit.cli import main, simulate\n"
         # A shell's background job ignores the signal, and so would its children.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "def interrupt(*a, **k): os.kill(os.getpid(), signal.SIGINT); __import__('time').sleep(20)\n"
-        "cli.simulate = interrupt\n"
-        "import sys; sys.argv = ['slamkit', 'simulate', 'loop', '--out', 'never-written']; cli.main()"
+        "simulate.simulate = interrupt\n"
+        "import sys; sys.argv = ['slamkit', 'simulate', 'loop', '--out', 'never-written']; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 128 + signal.SIGINT
@@ -178,11 +190,11 @@ def test_every_help_has_an_example_that_begins_with_the_command(command: tuple[s
 
 def test_help_names_every_filter_model_and_world() -> None:
     text = succeeds("run", "csv", "--help")
-    for name in (*FILTERS, *cli.MOTIONS, *cli.SENSORS):
+    for name in (*FILTERS, *MOTIONS, *SENSORS):
         assert name in text
     assert all(name in succeeds("simulate", "--help") for name in WORLDS)
-    for kind in (*cli.MOTIONS.values(), *cli.SENSORS.values()):
-        assert ",".join(f"{x:g}" for x in kind.default) in text.replace(" ", "")
+    for kind in (*MOTIONS.values(), *SENSORS.values()):
+        assert ",".join(f"{x:g}" for _, x in parameters_of(kind).values()) in text.replace(" ", "")
 
 
 def test_version() -> None:
@@ -380,11 +392,11 @@ def test_first_steps_are_those_of_the_whole_log(seed: int, increments: bool) -> 
     log = random_log(seed, increments)
     steps = list(log)
     for m in range(1, len(steps) + 2):
-        beginning = cli._beginning(log, m)
-        part = list(beginning)
+        short = beginning(log, m)
+        part = list(short)
         assert len(part) == min(m, len(steps))
-        assert beginning.truth is not None
-        assert beginning.truth.times.tolist() == [t for t in range(30) if m >= len(steps) or t <= steps[m].time]
+        assert short.truth is not None
+        assert short.truth.times.tolist() == [t for t in range(30) if m >= len(steps) or t <= steps[m].time]
         for a, b in zip(part, steps, strict=False):
             assert (a.time, a.dt, a.scan.ids) == (b.time, b.dt, b.scan.ids)
             np.testing.assert_array_equal(a.scan.z, b.scan.z)
@@ -419,7 +431,7 @@ def test_options_go_before_the_file_and_the_file_before_the_columns(
             super().__init__(*arguments, **more)
             made.append(self)
 
-    monkeypatch.setitem(FILTERS, "ekf", Recording)
+    monkeypatch.setitem(FILTERS._items, "ekf", Recording)
 
     def models(*options: object) -> tuple[Any, Any]:
         succeeds("run", "csv", lesson, *options)
@@ -475,14 +487,13 @@ def test_columns_tell_the_models(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((), ("command",)),
         (("fly",), ("fly", "--help")),
         (("run",), ("command",)),
         (("run", "csv"), ("DIR", "run csv --help")),
         (("run", "csv", "nowhere"), ("nowhere/controls.csv",)),
         (("run", "csv", "{lesson}", "--filter", "kalman"), ("kalman", *FILTERS)),
-        (("run", "csv", "{lesson}", "--motion", "bicycle"), ("bicycle", *cli.MOTIONS)),
-        (("run", "csv", "{lesson}", "--sensor", "sonar"), ("sonar", *cli.SENSORS)),
+        (("run", "csv", "{lesson}", "--motion", "bicycle"), ("bicycle", *MOTIONS)),
+        (("run", "csv", "{lesson}", "--sensor", "sonar"), ("sonar", *SENSORS)),
         (("run", "csv", "{lesson}", "--motion", "odometry"), ("controls.csv", "rates v,omega", "Odometry")),
         (("run", "csv", "{lesson}", "--motion-noise", "0.1"), ("0.1", "unicycle takes 2", "rad/s")),
         (("run", "csv", "{lesson}", "--motion-noise", "a,b"), ("a,b", "unicycle takes 2")),
@@ -588,7 +599,7 @@ def test_a_run_that_fails_midway_leaves_what_it_did(lesson: Path, tmp_path: Path
     succeeds("run", "csv", lesson, "--max-steps", 9, "--json", tmp_path / "nine.json")
     break_at(lesson, 30)  # the 30th sighting: of three a step, in the tenth step
     outputs = ("--out", tmp_path / "out", "--json", tmp_path / "run.json", "--save", tmp_path / "f.npz")
-    line = fails("run", "csv", lesson, *outputs)
+    line = fails("run", "csv", lesson, *outputs, code=1)
     assert "range is -1.0" in line
     assert f"first 9 of 15 steps are in {tmp_path / 'out'}" in line
     whole, part = (History.load(tmp_path / name / "history.npz") for name in ("whole", "out"))
@@ -603,10 +614,10 @@ def test_a_run_that_fails_midway_leaves_what_it_did(lesson: Path, tmp_path: Path
 
 def test_a_run_that_fails_at_once_leaves_nothing_but_files_that_say_so(lesson: Path, tmp_path: Path) -> None:
     break_at(lesson, 1)
-    assert "first 0 of 15 steps" in fails("run", "csv", lesson, "--out", tmp_path / "out")
+    assert "first 0 of 15 steps" in fails("run", "csv", lesson, "--out", tmp_path / "out", code=1)
     got = strict_json(tmp_path / "out" / "summary.json")
     assert (got["steps"], got["observations"], got["landmarks"], got["ate_m"]) == (0, 0, 0, None)
-    assert "steps" not in fails("run", "csv", lesson)
+    assert "steps" not in fails("run", "csv", lesson, code=1)
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -616,14 +627,14 @@ def test_ctrl_c_keeps_what_was_done(
 ) -> None:
     class Interrupted(EKFSLAM):
         def run(self, log: Log, progress: Any = False) -> History:
-            history = super().run(cli._beginning(log, 6))
+            history = super().run(beginning(log, 6))
             if len(log) == 1:  # what is run to load the compiled code
                 return history
             stop = KeyboardInterrupt()
             stop.history = history  # type: ignore[attr-defined]
             raise stop
 
-    monkeypatch.setitem(FILTERS, "ekf", Interrupted)
+    monkeypatch.setitem(FILTERS._items, "ekf", Interrupted)
     done = slamkit("run", "csv", lesson, *(("--out", tmp_path / "out") if with_out else ()))
     assert done.exit_code == 130
     assert "Traceback" not in done.output
@@ -646,7 +657,7 @@ def test_a_file_is_replaced_by_a_whole_one_or_not_at_all(
         raise OSError(28, "No space left on device", str(path))
 
     monkeypatch.setattr(plots, "save", torn)
-    assert "No space left" in fails("run", "csv", lesson, "--out", out)
+    assert "No space left" in fails("run", "csv", lesson, "--out", out, code=1)
     after = contents(out)
     assert after.keys() == before.keys()
     assert after["overview.png"] == before["overview.png"]
@@ -756,7 +767,7 @@ def test_fetch_prints_where_the_set_is(server: str, small_set: Path, tmp_path: P
 
 
 def test_fetch_of_a_set_that_is_not_there(server: str, tmp_path: Path) -> None:
-    assert "MRCLAM8.zip" in fails("fetch", "mrclam", 8, "--folder", tmp_path / "data", "--base-url", server)
+    assert "MRCLAM8.zip" in fails("fetch", "mrclam", 8, "--folder", tmp_path / "data", "--base-url", server, code=1)
     assert contents(tmp_path) == {}
 
 
@@ -767,8 +778,8 @@ def test_fetch_of_a_set_that_is_not_there(server: str, tmp_path: Path) -> None:
 def short_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two runs of 20 steps in the end of the demo: the full unscented filter takes milliseconds a step."""
     short = replace(standing_world(), controls=np.zeros((20, 2)))
-    monkeypatch.setattr(cli, "DEMO_RUNS", 2)
-    monkeypatch.setitem(WORLDS, "standing", lambda: short)  # type: ignore[misc]
+    monkeypatch.setattr(demo, "RUNS", 2)
+    monkeypatch.setitem(WORLDS._items, "standing", lambda: short)
 
 
 @pytest.mark.usefixtures("short_comparison")
