@@ -221,7 +221,8 @@ def index_array(name: str, value: ArrayLike, shape: tuple[int, ...], count: int,
 
 def _check_shape(name: str, given: tuple[int, ...], expected: tuple[int, ...]) -> None:
     if len(given) != len(expected) or any(n not in (-1, m) for n, m in zip(expected, given, strict=True)):
-        wanted = str(tuple("n" if n == -1 else n for n in expected)).replace("'", "")
+        letters = iter("nmklp")
+        wanted = str(tuple(next(letters) if n == -1 else n for n in expected)).replace("'", "")
         raise InputError(f"{name} has shape {given}, expected {wanted}")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,3 +94,8 @@ def test_a_data_set_of_ones_own_is_found_by_module_and_name(tmp_path: Path, monk
     with pytest.raises(InputError, match="expected a slamkit"):
         DATASETS.register("mine", read)  # type: ignore[arg-type]
     assert "mine" not in DATASETS
+
+
+def test_a_recording_has_a_short_repr() -> None:
+    recording = replace(MINE.read("x", part="first"), title="a title")
+    assert "a title" in repr(recording) and len(repr(recording)) < 150
