@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slamkit.arrays import Array
+from slamkit.arrays import Array, finite_number, real_array
 from slamkit.compiled import compiled
 from slamkit.errors import InputError
 from slamkit.protocols import MotionFunctions, SensorFunctions
@@ -32,38 +32,20 @@ def no_pose_noise(pose: Any, u: Any, dt: float, params: Any, out: Any) -> None:
     out[:, :] = 0.0
 
 
-def numbers(name: str, value: ArrayLike) -> Array:
-    """`value` as a new float array, or an InputError.
-
-    It is a new array because compiled functions accept neither read-only arrays nor arrays with gaps.
-    """
-    try:
-        given = np.asarray(value)
-        if given.dtype.kind not in "fiubO":  # complex numbers would lose their imaginary part
-            raise InputError(f"{name} has dtype {given.dtype}, expected real numbers")
-        return np.array(given, dtype=float, order="C")
-    except (TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{name} must hold real numbers in equal rows: {error}") from None
-
-
 def vector(name: str, value: ArrayLike, length: int) -> Array:
     """`value` as a new float vector of the given length, or an InputError. NaN and infinity are allowed."""
-    a = numbers(name, value)
+    a = real_array(name, value)
     if a.shape != (length,):
         raise InputError(f"{name} has shape {a.shape}, expected ({length},)")
     return a
 
 
-def real(name: str, value: float) -> float:
+def duration(value: float) -> float:
     """`value` as a float, or an InputError. NaN and infinity are allowed."""
-    try:
-        if np.asarray(value).dtype.kind in "fiuO":
-            return float(value)
-    except (TypeError, ValueError, OverflowError):
-        pass
-    raise InputError(f"{name} is {value!r}, expected a number")
+    a = real_array("dt", value)
+    if a.ndim:
+        raise InputError(f"dt has shape {a.shape}, expected a number")
+    return float(a)
 
 
 def noise_parameter(name: str, value: float, *, zero: bool) -> float:
@@ -71,29 +53,11 @@ def noise_parameter(name: str, value: float, *, zero: bool) -> float:
 
     Its square must be such a number too: 1e-200 is positive, but as a variance it is zero.
     """
-    number = real(name, value)
+    number = finite_number(name, value, lower=0.0)
     square = number * number
-    if number < 0 or not np.isfinite(square) or (square == 0 and not zero):
+    if not np.isfinite(square) or (square == 0 and not zero):
         raise InputError(f"{name} is {number}, expected a finite number {'≥' if zero else '>'} 0 (and its square too)")
     return number
-
-
-def covariance(name: str, value: ArrayLike, size: int) -> Array:
-    """`value` as a symmetric positive semidefinite matrix of the given size, or an InputError."""
-    a = numbers(name, value)
-    if a.shape != (size, size):
-        raise InputError(f"{name} has shape {a.shape}, expected ({size}, {size})")
-    if not np.all(np.isfinite(a)):
-        raise InputError(f"{name} is not finite")
-    scale = float(np.abs(a).max(initial=0.0)) or 1.0
-    asymmetry = float(np.abs(a - a.T).max(initial=0.0))
-    if asymmetry > 1e-9 * scale:
-        raise InputError(f"{name} is not symmetric: it differs from its transpose by {asymmetry:.3g}")
-    smallest = float(np.linalg.eigvalsh(a / scale)[0])
-    if smallest < -1e-12:
-        raise InputError(f"{name} is not positive semidefinite: smallest eigenvalue {smallest * scale:.3g}")
-    symmetric: Array = a / 2 + a.T / 2
-    return symmetric
 
 
 def frozen(a: Array) -> Array:
@@ -144,7 +108,7 @@ class CompiledMotion(_Value):
     def control_noise(self, u: ArrayLike, dt: float) -> Array:
         """Covariance (m, m) of the control's noise over a step."""
         out = np.empty((self.control_dim, self.control_dim))
-        self.functions.control_noise(vector("u", u, self.control_dim), real("dt", dt), self.params, out)
+        self.functions.control_noise(vector("u", u, self.control_dim), duration(dt), self.params, out)
         return out
 
     def pose_noise(self, pose: ArrayLike, u: ArrayLike, dt: float) -> Array:
@@ -154,7 +118,7 @@ class CompiledMotion(_Value):
         return out
 
     def _arguments(self, pose: ArrayLike, u: ArrayLike, dt: float) -> tuple[Array, Array, float]:
-        return vector("pose", pose, 3), vector("u", u, self.control_dim), real("dt", dt)
+        return vector("pose", pose, 3), vector("u", u, self.control_dim), duration(dt)
 
 
 class CompiledSensor(_Value):

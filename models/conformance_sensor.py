@@ -9,15 +9,7 @@ from math import cos, pi, sin
 import numpy as np
 
 from slamkit.arrays import Array
-from slamkit.models.conformance_report import (
-    Report,
-    check_calls,
-    check_covariance,
-    form,
-    random_poses,
-    short,
-    turned,
-)
+from slamkit.models.conformance_report import Report, check_calls, check_covariance, form, random_poses, short, turned
 from slamkit.protocols import METHODS, SensorModel
 
 NEAR = 0.1  #: a sensor may return NaN for a landmark within this range [m]

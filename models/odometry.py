@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slamkit import se2
-from slamkit.arrays import Array
+from slamkit.arrays import Array, finite_array
 from slamkit.compiled import compiled
-from slamkit.errors import InputError
 from slamkit.models._base import (
     CONTROL_NOISE,
     MOTION_JACOBIANS,
@@ -23,7 +22,6 @@ from slamkit.models._base import (
     no_pose_noise,
     noise_parameter,
     parameter,
-    vector,
 )
 from slamkit.protocols import MotionFunctions
 from slamkit.se2 import wrap_angle
@@ -149,10 +147,7 @@ class Odometry(CompiledMotion):
         InputError
             A pose has a wrong shape or is not finite.
         """
-        a, b = vector("before", before, 3), vector("after", after, 3)
-        for name, pose in (("before", a), ("after", b)):
-            if not np.all(np.isfinite(pose)):
-                raise InputError(f"{name} is {pose}, expected a finite pose")
+        a, b = finite_array("before", before, (3,)), finite_array("after", after, (3,))
         dx, dy, turn = se2.between(a, b)
         trans = hypot(dx, dy)
         if trans < 1e-9:

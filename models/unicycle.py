@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slamkit.arrays import Array
+from slamkit.arrays import Array, covariance
 from slamkit.compiled import compiled
 from slamkit.models._base import (
     CONTROL_NOISE,
@@ -22,7 +22,6 @@ from slamkit.models._base import (
     POSE_NOISE,
     PREDICT_ALL,
     CompiledMotion,
-    covariance,
     noise_parameter,
     parameter,
 )

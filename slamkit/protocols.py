@@ -158,7 +158,7 @@ def require_model(model: object, protocol: type, what: str) -> None:
         raise ModelError(f"{what} is a {name}, which has no {', '.join(missing)}: {expected}")
     for method in methods:
         if not callable(value := getattr(model, method)):
-            raise ModelError(f"{what} is a {name} whose {method} is {value!r:.80}, expected a method: {expected}")
+            raise ModelError(f"{what} is a {name} whose {method} is {_described(value)}, expected a method: {expected}")
     functions = getattr(model, "functions", None)
     if functions is None:
         return
@@ -171,7 +171,7 @@ def require_model(model: object, protocol: type, what: str) -> None:
             raise ModelError(f"{what} is a {name} whose functions.{function} is {given}, expected {_HOW}")
     params = np.asarray(getattr(model, "params", ()))
     if params.ndim != 1 or params.dtype.kind not in "fiub":
-        raise ModelError(f"{what} is a {name} whose params is {params!r:.80}, expected a vector of real numbers")
+        raise ModelError(f"{what} is a {name} whose params is {_described(params)}, expected a vector of real numbers")
 
 
 def is_compiled(function: object) -> bool:
@@ -182,5 +182,5 @@ def is_compiled(function: object) -> bool:
 
 def _described(value: object) -> str:
     if callable(value):
-        return f"the plain Python function {getattr(value, '__name__', repr(value))}"
-    return f"{value!r:.80}"
+        return f"the plain Python function {getattr(value, '__name__', type(value).__name__)}"
+    return " ".join(repr(value).split())[:80]

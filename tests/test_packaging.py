@@ -126,6 +126,19 @@ def test_importing_slamkit_is_cheap() -> None:
     assert run(sys.executable, "-c", code, cwd=ROOT).split() == []
 
 
+def test_a_checkout_without_symbolic_links_says_so(tmp_path: Path) -> None:
+    """On Windows git may write the link slamkit/models as a text file."""
+    shutil.copytree(ROOT / "slamkit", tmp_path / "slamkit", ignore=lambda *_: ["models", "__pycache__"])
+    (tmp_path / "slamkit" / "models").write_text("../models", encoding="utf-8")
+    # Without site-packages, so that no installed slamkit fills in for the missing package.
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import slamkit"
+    done = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=False)
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("ImportError: slamkit/models is not a link to the folder models")
+    assert "core.symlinks" in last
+    assert "ModuleNotFoundError" not in done.stderr
+
+
 def test_every_third_party_import_is_declared() -> None:
     parser = ConfigParser()
     parser.read(ROOT / "setup.cfg", encoding="utf-8")
