@@ -45,7 +45,7 @@ def compare_filters(
         str,
         typer.Option(
             "--filters",
-            metavar="A,B,…",
+            metavar="A,B,...",
             help=f"Estimators out of {', '.join(FILTERS)}, {options.OWN}; or all. A step of ukf-full costs O(D³).",
         ),
     ] = "ekf,fej,oc,invariant,iterated,ideal,ukf",

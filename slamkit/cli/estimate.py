@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from rich.progress import BarColumn, TextColumn
 
 from slamkit import plots
-from slamkit.cli.beginning import beginning
 from slamkit.cli.errors import RunError, reason, running
 from slamkit.cli.outputs import Outputs
 from slamkit.cli.printing import bar
@@ -54,7 +53,7 @@ def estimate(
             task = progress.add_task(f"{titled}: loading (the first run compiles for half a minute)", total=len(log))
             # Loading the compiled code does not count as run time. An error in the first step returns in the run.
             with suppress(Exception):
-                make().run(beginning(log, 1))
+                make().run(log.head(1))
             progress.update(task, description=titled)
             history = f.run(log, progress=lambda done, total: progress.update(task, completed=done, total=total))
     except (Exception, KeyboardInterrupt) as error:

@@ -48,7 +48,7 @@ Motion = Annotated[
 ]
 MotionNoise = Annotated[
     str | None,
-    typer.Option("--motion-noise", metavar="A,B,…", help=f"Noise of the motion model. {_noise(MOTIONS)}"),
+    typer.Option("--motion-noise", metavar="A,B,...", help=f"Noise of the motion model. {_noise(MOTIONS)}"),
 ]
 Sensor = Annotated[
     str | None,
@@ -60,7 +60,7 @@ Sensor = Annotated[
 ]
 SensorNoise = Annotated[
     str | None,
-    typer.Option("--sensor-noise", metavar="A,B,…", help=f"Noise of the sensor model. {_noise(SENSORS)}"),
+    typer.Option("--sensor-noise", metavar="A,B,...", help=f"Noise of the sensor model. {_noise(SENSORS)}"),
 ]
 Gate = Annotated[
     float | None,

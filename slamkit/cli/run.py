@@ -12,7 +12,6 @@ import typer
 from typer.core import TyperGroup
 
 from slamkit.cli import options
-from slamkit.cli.beginning import beginning
 from slamkit.cli.csv_folder import FILES, read_settings
 from slamkit.cli.estimate import estimate
 from slamkit.cli.filters import find_filter
@@ -83,7 +82,7 @@ def run(
     for what, model in chosen.items():
         check_fit(what, model, source.columns[what], source.file(what), source.log.increments)
     settings = Settings(**chosen).over(given)
-    log = source.log if max_steps is None else beginning(source.log, max_steps)
+    log = source.log if max_steps is None else source.log.head(max_steps)
     run_ = estimate(lambda: settings.make(kind), log, settings.start, outputs, source.title, quiet)
     used = f"Models: {described('motion', settings.motion)} {described('sensor', settings.sensor)}"
     output(run_table(source.title, run_), *source.notes, used, quiet=quiet, on_stderr=outputs.json_on_stdout)

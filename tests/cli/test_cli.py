@@ -21,7 +21,6 @@ from typer.testing import CliRunner, Result
 
 from slamkit import EKFSLAM, History, InputError, Log, Truth, plots, study
 from slamkit.cli import app, demo
-from slamkit.cli.beginning import beginning
 from slamkit.datasets import mrclam
 from slamkit.evaluate import run_report
 from slamkit.filters import FILTERS
@@ -392,11 +391,15 @@ def test_first_steps_are_those_of_the_whole_log(seed: int, increments: bool) -> 
     log = random_log(seed, increments)
     steps = list(log)
     for m in range(1, len(steps) + 2):
-        short = beginning(log, m)
+        short = log.head(m)
         part = list(short)
         assert len(part) == min(m, len(steps))
         assert short.truth is not None
-        assert short.truth.times.tolist() == [t for t in range(30) if m >= len(steps) or t <= steps[m].time]
+        assert log.truth is not None
+        for step in part:  # the true pose that is nearest to a step stays, and so do those before it
+            nearest = log.truth.times[np.argmin(np.abs(log.truth.times - step.time))]
+            assert short.truth.times[np.argmin(np.abs(short.truth.times - step.time))] == nearest
+        assert short.truth.times.tolist() == log.truth.times[: len(short.truth.times)].tolist()
         for a, b in zip(part, steps, strict=False):
             assert (a.time, a.dt, a.scan.ids) == (b.time, b.dt, b.scan.ids)
             np.testing.assert_array_equal(a.scan.z, b.scan.z)
@@ -627,7 +630,7 @@ def test_ctrl_c_keeps_what_was_done(
 ) -> None:
     class Interrupted(EKFSLAM):
         def run(self, log: Log, progress: Any = False) -> History:
-            history = super().run(beginning(log, 6))
+            history = super().run(log.head(6))
             if len(log) == 1:  # what is run to load the compiled code
                 return history
             stop = KeyboardInterrupt()
