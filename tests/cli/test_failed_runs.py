@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -96,3 +98,27 @@ def test_a_file_is_replaced_by_a_whole_one_or_not_at_all(
     with pytest.raises(ValueError, match="JSON compliant"):
         run_report.write_json(out / "map.csv", {"a": 1.0, "b": np.nan})
     assert contents(out) == after
+
+
+def test_an_error_that_slamkit_did_not_foresee_is_one_line_too(
+    lesson: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Wrong(EKFSLAM):
+        def run(self, log: Log, progress: Any = False) -> History:
+            raise KeyError("heading")
+
+    monkeypatch.setitem(FILTERS._items, "ekf", Wrong)
+    line = fails("run", "csv", lesson, "--out", tmp_path / "out", code=1)
+    assert "KeyError: 'heading'" in line
+    monkeypatch.setenv("SLAMKIT_TRACEBACK", "1")
+    assert "in run" in slamkit("run", "csv", lesson).stderr
+
+
+def test_the_reader_of_standard_output_may_leave() -> None:
+    code = "from slamkit.cli import main; import sys; sys.argv = ['slamkit', 'run', 'csv', '--help']; main()"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        said = process.stderr.read()
+        assert process.wait() == 1
+    assert b"Traceback" not in said and b"Broken" not in said

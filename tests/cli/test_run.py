@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import KEYS, contents, fails, is_png, strict_json, succeeds, write_csv
+from commands import KEYS, contents, fails, is_png, slamkit, strict_json, succeeds, write_csv
 
 from slamkit import EKFSLAM, History, InputError, Log, Truth, plots
 from slamkit.evaluate import run_report
@@ -246,3 +247,17 @@ def test_max_steps_is_the_beginning_of_the_run(loop: Path, tmp_path: Path) -> No
         np.testing.assert_array_equal(some.poses, whole.poses[:k])
         np.testing.assert_array_equal(some.pose_covariances, whole.pose_covariances[:k])
         assert strict_json(tmp_path / "some" / "summary.json")["steps"] == k
+
+
+# ---- JSON on standard output ----
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_json_on_standard_output_is_all_that_is_there(lesson: Path, tmp_path: Path) -> None:
+    succeeds("run", "csv", lesson, "--json", tmp_path / "run.json")
+    for quiet in ((), ("--quiet",)):
+        done = slamkit("run", "csv", lesson, "--json", "-", "--out", tmp_path / "out", *quiet)
+        assert done.exit_code == 0
+        assert json.loads(done.stdout) | {"seconds": 0} == strict_json(tmp_path / "run.json") | {"seconds": 0}
+        assert ("trajectory error" in done.stderr) is not bool(quiet)
+    assert not Path("-").exists()

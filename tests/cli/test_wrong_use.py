@@ -195,3 +195,37 @@ def test_unknown_columns_ask_for_a_model(tmp_path: Path) -> None:
     log = write_csv(tmp_path, controls="t,u1,u2\n0,1,0\n1,0,0\n", observations="t,id,z1,z2\n1,a,2,1\n")
     assert "u1,u2" in (line := fails("run", "csv", log)) and "--motion unicycle|euler|odometry" in line
     assert "z1,z2" in (line := fails("run", "csv", log, "--motion", "euler")) and "--sensor range-bearing" in line
+
+
+@pytest.mark.parametrize(
+    ("sensor", "columns", "takes"), [("relative", "range,bearing", "x,y"), ("range-bearing", "x,y", "range,bearing")]
+)
+def test_a_sensor_is_refused_on_the_columns_of_another(sensor: str, columns: str, takes: str, tmp_path: Path) -> None:
+    log = write_csv(tmp_path, controls="t,v,omega\n0,1,0\n1,0,0\n", observations=f"t,id,{columns}\n1,a,2,1\n")
+    named = fails("run", "csv", log, "--sensor", sensor)
+    model = {"relative": RelativePosition(0.1), "range-bearing": RangeBearing(0.1, 0.1)}[sensor]
+    (log / "models.json").write_text(json.dumps({"sensor": model_to_dict(model)}))
+    for line in (named, fails("run", "csv", log)):
+        assert f"{log / 'observations.csv'} has {columns}, but the sensor model {sensor} takes {takes}" in line
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t", " "])
+@pytest.mark.parametrize("name", ["controls", "observations"])
+def test_a_wrong_delimiter_is_named(name: str, delimiter: str, lesson: Path) -> None:
+    path = lesson / f"{name}.csv"
+    path.write_text(path.read_text().replace(",", delimiter))
+    line = fails("run", "csv", lesson)
+    word = {";": "semicolon", "\t": "tab", " ": "space"}[delimiter]
+    assert str(path) in line and (word in line or repr(delimiter) in line) and "comma" in line, line
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [('{"gate": true}', ("gate", "True")), ("[" * 100_000, ("not JSON",)), ('{"sensor": []}', ("[]",))],
+)
+def test_a_models_file_holds_nothing_else(text: str, words: tuple[str, ...], lesson: Path) -> None:
+    (lesson / "mine.json").write_text(text)
+    line = fails("run", "csv", lesson, "--models", lesson / "mine.json")
+    for word in (str(lesson / "mine.json"), *words):
+        assert word in line
+    assert "missing.json" in fails("run", "csv", lesson, "--models", lesson / "missing.json")
