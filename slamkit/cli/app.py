@@ -103,7 +103,7 @@ def main() -> None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"slamkit {slamkit.__version__}")
+        print(f"slamkit {slamkit.__version__}")
         raise typer.Exit
 
 
@@ -115,4 +115,4 @@ def _options(
     ] = False,
 ) -> None:
     if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
+        print(context.get_help())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,7 +94,7 @@ def compare_filters(
         )
     except KeyboardInterrupt:
         if kept is not None:
-            typer.echo(f"interrupted; what is done is in {kept}, and the same command goes on from there", err=True)
+            print(f"interrupted; what is done is in {kept}, and the same command goes on from there", file=sys.stderr)
         raise
     except InputError:
         raise

@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
-import typer
-
 from slamkit.errors import SlamkitError
 
 __all__ = ["FAILED", "TRACEBACK", "WRONG_USE", "RunError", "fail", "reason", "running"]
@@ -49,5 +47,6 @@ def fail(message: str, code: int, error: BaseException | None = None) -> NoRetur
     """Print one line on stderr and leave with this exit code."""
     if error is not None and os.environ.get(TRACEBACK):
         traceback.print_exception(error)
-    typer.echo(f"error: {' '.join(message.split())}", err=True)
+    # Click's echo would encode as UTF-8 for an ASCII terminal.
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
     sys.exit(code)

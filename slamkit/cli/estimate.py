@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-import typer
 from numpy.typing import ArrayLike
 from rich.progress import BarColumn, TextColumn
 
@@ -60,7 +60,7 @@ def estimate(
         done = _keep(error, f, log, pose, outputs, titled)
         if isinstance(error, KeyboardInterrupt):
             if done:
-                typer.echo(f"interrupted; {done}", err=True)
+                print(f"interrupted; {done}", file=sys.stderr)
             raise
         raise RunError(f"{reason(error)}; {done}" if done else reason(error)) from error
     with running():

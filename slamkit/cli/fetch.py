@@ -44,4 +44,4 @@ def fetch_set(
             path = fetch(name, number, folder, base_url=base_url, progress=lambda n: progress.update(task, completed=n))
     except LogFileError as error:
         raise RunError(str(error)) from error
-    typer.echo(path)
+    print(path)

@@ -81,8 +81,9 @@ Models = Annotated[
     typer.Option(
         "--models",
         metavar="FILE",
-        help="A models.json (see docs/models-json.md). It takes precedence over what the data say; options take "
-        "precedence over it.",
+        help="A models.json: an object with some of motion, sensor, pose, pose_covariance, order and gate; a model "
+        'is {"name": "RangeBearing", "sigma_range": 0.1, "sigma_bearing": 0.035} (docs/models-json.md). It takes '
+        "precedence over what the data say. Options take precedence over it.",
     ),
 ]
 Json = Annotated[

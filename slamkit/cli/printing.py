@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-import typer
 from rich.console import Console
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -33,7 +32,7 @@ def output(*what: Table | str, quiet: bool = False, on_stderr: bool = False) -> 
 
 def print_json(facts: Mapping[str, Any]) -> None:
     """Print facts as JSON on standard output."""
-    typer.echo(json.dumps(facts, indent=2, allow_nan=False))
+    print(json.dumps(facts, indent=2, allow_nan=False))
 
 
 @contextmanager

@@ -14,8 +14,11 @@ from slamkit import EKFSLAM, History, InputError, Log, Truth, plots
 from slamkit.evaluate import run_report
 from slamkit.filters import FILTERS
 from slamkit.models import (
+    MOTIONS,
+    SENSORS,
     RangeBearing,
     Unicycle,
+    parameters_of,
 )
 from slamkit.simulate import WORLDS, simulate
 
@@ -261,3 +264,19 @@ def test_json_on_standard_output_is_all_that_is_there(lesson: Path, tmp_path: Pa
         assert json.loads(done.stdout) | {"seconds": 0} == strict_json(tmp_path / "run.json") | {"seconds": 0}
         assert ("trajectory error" in done.stderr) is not bool(quiet)
     assert not Path("-").exists()
+
+
+# ---- models.json as it is documented ----
+
+
+def test_the_documents_example_of_models_json_runs_and_its_tables_are_complete(lesson: Path, tmp_path: Path) -> None:
+    text = (Path(__file__).resolve().parents[2] / "docs" / "models-json.md").read_text(encoding="utf-8")
+    for kind in (*MOTIONS.values(), *SENSORS.values()):
+        assert f"`{kind.__name__}`" in text
+        for name, (unit, typical) in parameters_of(kind).items():
+            row = next(line for line in text.splitlines() if f"| `{name}` |" in line)
+            assert f"| {unit} | {typical:g} |" in row
+    example = text[text.index("    {\n") : text.index("    }\n") + 6]
+    (tmp_path / "mine.json").write_text(example)
+    said = text[text.index("Models: ") :].splitlines()[0]
+    assert said in succeeds("run", "csv", lesson, "--models", tmp_path / "mine.json")
