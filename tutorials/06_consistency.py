@@ -153,7 +153,7 @@ for name, eps in epsilon.items():
 # the mean over runs is s/√M, where s is the standard deviation of the run means. This holds whatever the correlation
 # within a run.
 #
-# A few bad runs can dominate a mean. So `consistency.summary` also gives the median, the mean without the lowest and
+# A few bad runs can dominate a mean. So `evaluate.summary` also gives the median, the mean without the lowest and
 # the highest tenth, and the share of runs above a limit, which is 6 for a pose. A single χ²₃ value has a median of
 # 2.37 and exceeds 6 with a probability of 11 %. The mean of a run scatters less, so its median lies between 2.37 and
 # 3.
