@@ -163,7 +163,7 @@ for when, split in (
 # ## Which filters keep the gauge
 #
 # These are the three tests of tutorial 07, on the first hundred steps of the first run, from an uncertain start (0.1 m
-# and 5°). The Jacobians of `robocentric` are not in the frame of the world, so the study records no nullity for it.
+# and 5°).
 
 # %%
 for name in names:

