@@ -173,7 +173,7 @@ for name, (since, _, _, bent) in series.items():
 def both(
     kind: type[EKFSLAM] | type[InvariantEKFSLAM], time: float, pair: tuple[int, int], gate: float | None
 ) -> dict[str, Array]:
-    """Each run with right names and with two of them swapped; one row a run in every entry."""
+    """Results with right ids and with two of them swapped: arrays with one row per run."""
     rows: dict[str, list[object]] = {}
 
     def note(name: str, value: object) -> None:
