@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 from rich.console import Console
 
 from slamkit import World
-from slamkit.evaluate.consistency import chi2_bounds
+from slamkit.evaluate import chi2_bounds
 from slamkit.evaluate.run_report import write_json
 from slamkit.plots import plot_bars, save, shared_legend, style
 from slamkit.simulate import loop_world, ring_world, standing_world

@@ -36,9 +36,8 @@ from rich.table import Table
 
 from slamkit import Log, SlamkitError
 from slamkit.datasets import mrclam
-from slamkit.evaluate.consistency import heading_nees
+from slamkit.evaluate import dead_reckoning, evaluate, heading_nees, nearest
 from slamkit.evaluate.run_report import Assessment, write_json
-from slamkit.evaluate.trajectory import dead_reckoning, evaluate, nearest
 from slamkit.filters import FILTERS
 from slamkit.logs import History
 

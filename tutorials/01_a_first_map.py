@@ -33,7 +33,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slamkit import EKFSLAM, plots, simulate
+from slamkit import EKFSLAM, evaluate, plots, simulate
 from slamkit.evaluate import trajectory
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.simulate import loop_world
@@ -115,7 +115,7 @@ print(f"sightings in the log: {len(log.observations)}")
 # state of one run. Make a new one for every run.
 
 # %%
-times, dead_reckoning = trajectory.dead_reckoning(log, world.motion)
+times, dead_reckoning = evaluate.dead_reckoning(log, world.motion)
 ekf = EKFSLAM(world.motion, world.sensor, pose=world.pose, pose_covariance=world.pose_covariance)
 history = ekf.run(log)
 

@@ -26,8 +26,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, Scan, plots, simulate
-from slamkit.evaluate import consistency
+from slamkit import EKFSLAM, Scan, evaluate, plots, simulate
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.simulate import loop_world
 
@@ -116,7 +115,7 @@ for name, f, forget in (("all of P", honest, False), ("blocks only", forgetful, 
             f.P = np.where(block[:, None] == block, f.P, 0.0)
         poses.append(f.pose)
         claims.append(f.pose_covariance)
-    nees = consistency.pose_nees(np.array(poses), np.array(claims), log.truth.poses[1:]).values
+    nees = evaluate.pose_nees(np.array(poses), np.array(claims), log.truth.poses[1:]).values
     error = np.linalg.norm(np.array(poses)[:, :2] - log.truth.poses[1:, :2], axis=1)
     print(f"{name}: position RMSE: {np.sqrt(np.mean(error**2)):.2f} m")
     print(f"{name}: mean NEES: {nees.mean():.1f}")

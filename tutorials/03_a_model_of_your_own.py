@@ -34,7 +34,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, InvariantEKFSLAM, ModelError, plots, simulate
+from slamkit import EKFSLAM, InvariantEKFSLAM, ModelError, evaluate, plots, simulate
 from slamkit.compiled import compiled
 from slamkit.evaluate import trajectory
 from slamkit.models import check_model
@@ -196,7 +196,7 @@ log = simulate(world, np.random.default_rng(2))
 assert log.truth is not None
 ekf = EKFSLAM(wheels, camera, world.pose, world.pose_covariance)
 history = ekf.run(log)
-dead_reckoning = trajectory.dead_reckoning(log, wheels)
+dead_reckoning = evaluate.dead_reckoning(log, wheels)
 
 slam = trajectory.evaluate(history.times, history.poses, log.truth, ekf.landmarks, aligned=False)
 lost = trajectory.evaluate(*dead_reckoning, log.truth, aligned=False)

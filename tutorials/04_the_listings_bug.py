@@ -29,9 +29,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slamkit import EKFSLAM, InputError, plots, simulate
+from slamkit import EKFSLAM, InputError, evaluate, plots, simulate
 from slamkit.errors import DivergenceError
-from slamkit.evaluate import consistency
 from slamkit.se2 import wrap
 from slamkit.simulate import lesson_world
 
@@ -199,7 +198,7 @@ print(f"largest difference between the listing put right and slamkit: {apart:.1e
 # %%
 suspicious = {}
 for name in names:
-    e = consistency.state_error(np.array(poses[name]), truth)
+    e = evaluate.state_error(np.array(poses[name]), truth)
     epsilon = np.einsum("rki,rki->rk", e, np.linalg.solve(np.array(claims[name]), e[..., None])[..., 0])
     suspicious[name] = 100 * np.mean((epsilon < 0) | (epsilon > 7.815), axis=0)  # share of the runs, at each step
     print(f"{name}, runs with an impossible or too large NEES at the end: {suspicious[name][-1]:.0f} %")
@@ -210,12 +209,12 @@ for name in names:
 
 # %%
 try:
-    consistency.pose_nees(np.array(poses["wrong"]), np.array(claims["wrong"]), truth)
+    evaluate.pose_nees(np.array(poses["wrong"]), np.array(claims["wrong"]), truth)
 except DivergenceError as error:
-    print("consistency.pose_nees says:", error)
+    print("evaluate.pose_nees says:", error)
 M = len(truth)
-mean = consistency.pose_nees(np.array(poses["slamkit"]), np.array(claims["slamkit"]), truth).values.mean(axis=0)
-band = consistency.chi2_bounds(3, M)
+mean = evaluate.pose_nees(np.array(poses["slamkit"]), np.array(claims["slamkit"]), truth).values.mean(axis=0)
+band = evaluate.chi2_bounds(3, M)
 print(f"slamkit, mean NEES over {M} runs at the end: {mean[-1]:.2f}")
 print(f"95 % band of that mean: {float(band.lower):.2f} to {float(band.upper):.2f}")
 

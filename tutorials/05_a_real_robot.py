@@ -28,7 +28,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slamkit import EKFSLAM, plots, se2
+from slamkit import EKFSLAM, evaluate, plots, se2
 from slamkit.datasets import mrclam
 from slamkit.evaluate import trajectory
 from slamkit.models import RangeBearing
@@ -76,7 +76,7 @@ print(f"the two exchanged landmarks put right: {data.landmarks_corrected}")
 motion, sensor = mrclam.models()
 ekf = EKFSLAM(motion, sensor, gate=mrclam.GATE)
 history = ekf.run(log)
-times, dead_reckoning = trajectory.dead_reckoning(log, motion)
+times, dead_reckoning = evaluate.dead_reckoning(log, motion)
 print(f"time for the whole log: {history.seconds:.2f} s")
 print(f"landmarks in the map: {len(ekf.landmarks)}")
 print(f"rejected sightings: {history.rejected}")

@@ -28,8 +28,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slamkit import EKFSLAM, InvariantEKFSLAM, plots, simulate
-from slamkit.evaluate import consistency
+from slamkit import EKFSLAM, InvariantEKFSLAM, evaluate, plots, simulate
 from slamkit.models import RelativePosition
 from slamkit.simulate import loop_world
 
@@ -50,10 +49,10 @@ FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
 rng = np.random.default_rng(1)
 P = np.array([[0.04, 0.03, 0.002], [0.03, 0.09, 0.01], [0.002, 0.01, 0.0025]])  # [m², m·rad, rad²]
 e = rng.multivariate_normal(np.zeros(3), P, size=100_000)
-nees = consistency.nees(e, P).values
+nees = evaluate.nees(e, P).values
 print(f"right claim, mean NEES: {nees.mean():.2f}")
 print(f"right claim, share of the NEES below 7.815: {np.mean(nees < 7.815):.3f}")
-print(f"claimed deviations are half of the true ones, mean NEES: {consistency.nees(e, P / 4).values.mean():.2f}")
+print(f"claimed deviations are half of the true ones, mean NEES: {evaluate.nees(e, P / 4).values.mean():.2f}")
 
 # %% [markdown]
 # If the mean is above d, the filter is overconfident. If it is below d, the filter claims too much uncertainty.
@@ -86,7 +85,7 @@ for run, rng in enumerate(np.random.default_rng(1).spawn(RUNS)):
     for name, (Filter, sensor) in candidates.items():
         history = Filter(world.motion, sensor, world.pose, world.pose_covariance).run(log)
         truth = log.truth.poses[1:]  # the truth has one more row: the start
-        epsilon[name][run] = consistency.pose_nees(history.poses, history.pose_covariances, truth).values
+        epsilon[name][run] = evaluate.pose_nees(history.poses, history.pose_covariances, truth).values
         nis[name][run] = np.nanmean(history.nis)  # NaN where a sighting started a landmark
 per_run = {name: eps.mean(axis=1) for name, eps in epsilon.items()}  # (M,)
 
@@ -98,7 +97,7 @@ per_run = {name: eps.mean(axis=1) for name, eps in epsilon.items()}  # (M,)
 
 # %%
 K = len(world.controls)
-naive = consistency.chi2_bounds(3, K)
+naive = evaluate.chi2_bounds(3, K)
 inside = (per_run["invariant"] > naive.lower) & (per_run["invariant"] < naive.upper)
 print(f"band of a mean over {K} independent steps: {float(naive.lower):.2f} to {float(naive.upper):.2f}")
 print(f"invariant EKF, runs whose mean lies in that band: {inside.sum()} of {RUNS}")
@@ -141,7 +140,7 @@ print(f"share of the runs in which the EKF's mean NEES is lower than the invaria
 # be inside for 95 % of its steps, and being inside proves nothing, because neighbouring steps repeat the same draw.
 
 # %%
-band = consistency.chi2_bounds(3, RUNS)
+band = evaluate.chi2_bounds(3, RUNS)
 print(f"95 % band of the mean over {RUNS} runs: {float(band.lower):.2f} to {float(band.upper):.2f}")
 for name, eps in epsilon.items():
     print(f"{names[name]}, mean NEES at the last step: {eps[:, -1].mean():.2f}")
@@ -160,7 +159,7 @@ for name, eps in epsilon.items():
 
 # %%
 for name, eps in epsilon.items():
-    s = consistency.summary(eps, dof=3)
+    s = evaluate.summary(eps, dof=3)
     print(f"{names[name]}, mean NEES: {s.mean:.2f} ± {s.standard_error:.2f}")
     print(f"{names[name]}, median NEES: {s.median:.2f}")
     print(f"{names[name]}, trimmed mean NEES: {s.trimmed_mean:.2f}")
@@ -181,7 +180,7 @@ print(f"EKF, share of the sum of all runs that its three worst runs hold: {worst
 
 # %%
 levels = np.linspace(0.01, 0.99, 99)
-curves = {name: consistency.coverage(eps, 3, levels) for name, eps in epsilon.items()}
+curves = {name: evaluate.coverage(eps, 3, levels) for name, eps in epsilon.items()}
 for name, curve in curves.items():
     at = np.searchsorted(levels, 0.95 - 1e-9)
     print(
@@ -218,7 +217,7 @@ seconds = world.dt * np.arange(1, K + 1)
 drawn = ("ekf", "invariant")
 
 ax = panels["runs"]
-single = consistency.chi2_bounds(3)
+single = evaluate.chi2_bounds(3)
 ax.axhspan(float(single.lower), float(single.upper), facecolor="0.5", alpha=0.3, linewidth=0, label="95% band, 1 run")
 order = np.argsort(per_run["invariant"])
 for run, color in ((order[0], plots.style("invariant").color), (order[-1], "black")):

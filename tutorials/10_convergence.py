@@ -36,8 +36,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, FirstEstimatesEKFSLAM, plots, simulate
-from slamkit.evaluate import consistency, gauge
+from slamkit import EKFSLAM, FirstEstimatesEKFSLAM, evaluate, plots, simulate
+from slamkit.evaluate import gauge
 from slamkit.simulate import loop_world
 
 FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
@@ -164,7 +164,7 @@ for seed in seeds:
         f.run(log)
         errors[f.name].append(f.landmarks[FAR] - world.landmarks[FAR])
         values[f.name].append(
-            float(consistency.landmark_nees(f.landmarks[FAR], f.marginal([FAR])[1], world.landmarks[FAR]).values)
+            float(evaluate.landmark_nees(f.landmarks[FAR], f.marginal([FAR])[1], world.landmarks[FAR]).values)
         )
         within[f.name].append(gauge.nees_split(f, log.truth.poses[-1], world.landmarks).relative_per_dof)
 place = world.landmarks[FAR] - world.pose[:2]
@@ -172,11 +172,11 @@ A_far = np.array([[1.0, 0.0, -place[1]], [0.0, 1.0, place[0]]])
 bound = A_far @ P0 @ A_far.T
 print(f"landmark {FAR}, sd by the bound: {np.sqrt(np.trace(bound)):.2f} m")
 for name, e in errors.items():
-    nees = consistency.summary(values[name], dof=2)
+    nees = evaluate.summary(values[name], dof=2)
     print(f"{name}, landmark {FAR}, claimed sd: {np.sqrt(np.trace(claims[name])):.2f} m")
     print(f"{name}, landmark {FAR}, RMSE over {len(e)} runs: {np.sqrt(np.mean(np.sum(np.square(e), axis=1))):.2f} m")
     print(f"{name}, landmark {FAR}, mean NEES: {nees.mean:.1f} ± {nees.standard_error:.1f}")
-    nees = consistency.summary(within[name], dof=1)
+    nees = evaluate.summary(within[name], dof=1)
     print(f"{name}, relative NEES per degree of freedom: {nees.mean:.2f} ± {nees.standard_error:.2f}")
 
 # %% [markdown]

@@ -29,8 +29,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, InvariantEKFSLAM, Log, plots, se2, simulate
-from slamkit.evaluate import consistency, trajectory
+from slamkit import EKFSLAM, InvariantEKFSLAM, Log, evaluate, plots, se2, simulate
+from slamkit.evaluate import trajectory
 from slamkit.simulate import loop_world
 
 FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
@@ -188,7 +188,7 @@ def both(
             maps.append(np.array([f.landmarks[i] for i in world.landmarks]))
             at, late = said.observation_times == time, said.observation_times > said.times[-1] - 251
             poses, P = said.poses, said.pose_covariances
-            note(f"nees {case}", consistency.pose_nees(poses, P, log.truth.poses[1:]).values)
+            note(f"nees {case}", evaluate.pose_nees(poses, P, log.truth.poses[1:]).values)
             note(f"nis {case}", np.mean(said.nis[late & said.accepted]))
             note(f"rejected then {case}", np.sum(~said.accepted & at))
             note(f"rejected later {case}", np.sum(~said.accepted & ~at))
@@ -210,7 +210,7 @@ def rms(values: Array) -> float:
 results = {kind.name: both(kind, WHEN, PAIR, gate=None) for kind in filters}
 for name, result in results.items():
     for case in ("right", "swapped"):
-        nees = consistency.summary(result[f"nees {case}"][:, -251:], dof=3)
+        nees = evaluate.summary(result[f"nees {case}"][:, -251:], dof=3)
         print(f"{name}, {case}, mean NEES of the last loop: {nees.mean:.1f} ± {nees.standard_error:.1f}")
     raised = result["nees swapped"][:, -251:].mean(axis=1) > result["nees right"][:, -251:].mean(axis=1)
     print(f"{name}, runs of {len(logs)} whose NEES the swap has raised: {raised.sum()}")
@@ -268,7 +268,7 @@ print(f"close, map deformed by: {1000 * bent:.1f} mm")
 cases = {"EKF": (EKFSLAM, None), "invariant EKF": (InvariantEKFSLAM, None), "EKF with a gate": (EKFSLAM, GATE)}
 for label, (kind, gate) in cases.items():
     result = both(kind, 1.0, (14, 15), gate)
-    nees = consistency.summary(result["nees swapped"][:, -251:], dof=3)
+    nees = evaluate.summary(result["nees swapped"][:, -251:], dof=3)
     print(f"first sight, {label}, NIS of the last loop: {result['nis swapped'].mean():.2f}")
     print(f"first sight, {label}, mean NEES of the last loop: {nees.mean:.0f} ± {nees.standard_error:.0f}")
     print(f"first sight, {label}, the two landmarks are off by: {result['pair'].mean():.1f} m")
@@ -300,7 +300,7 @@ plots.plot_nis(surprise, run)
 surprise.axhline(GATE, color="black", linestyle="--", linewidth=0.9)
 surprise.annotate("gate", (run.times[-1], GATE), xytext=(-4, 3), textcoords="offset points", ha="right")
 
-band = consistency.chi2_bounds(3, len(logs))
+band = evaluate.chi2_bounds(3, len(logs))
 errors.axhspan(float(band.lower), float(band.upper), color="0.8", label=f"95 % band, {len(logs)} runs")
 for name, result in results.items():
     look = plots.style(name)

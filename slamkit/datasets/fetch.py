@@ -5,30 +5,17 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from ftplib import Error as FTPError
 from operator import index
 from pathlib import Path
 from typing import BinaryIO
 from urllib.parse import urlsplit
 
-from slamkit.datasets import mrclam
+from slamkit.datasets.dataset import Source
+from slamkit.datasets.registry import DATASETS
 from slamkit.errors import InputError, LogFileError
 
 TIMEOUT = 30  #: how long a silent server is waited for [s]
-
-
-@dataclass(frozen=True)
-class _Source:
-    base_url: str
-    file: str  # with {number}
-    numbers: range
-    check: Callable[[Path], None]
-
-
-_SOURCES = {
-    "mrclam": _Source("ftp://asrl3.utias.utoronto.ca/MRCLAM", "MRCLAM{number}.zip", range(1, 10), mrclam.check_zip)
-}
 
 
 def fetch(
@@ -72,9 +59,10 @@ def fetch(
         The file cannot be had: no connection, no such file, an interrupted transfer, or what came is not the set.
         No partial file stays behind.
     """
-    if name not in _SOURCES:
-        raise InputError(f"data set is {name!r}, expected one of: {', '.join(_SOURCES)}")
-    source = _SOURCES[name]
+    sources = {name: data_set.source for name, data_set in DATASETS.items() if data_set.source is not None}
+    if name not in sources:
+        raise InputError(f"data set is {name!r}, expected one of: {', '.join(sources)}")
+    source = sources[name]
     try:
         known = not isinstance(number, bool) and index(number) in source.numbers
     except TypeError:
@@ -144,7 +132,7 @@ def _download(url: str, stream: _Counted) -> None:
         HTTPDownloader(timeout=TIMEOUT, chunk_size=chunk)(url, stream, None)
 
 
-def _is_whole(file: Path, source: _Source) -> bool:
+def _is_whole(file: Path, source: Source) -> bool:
     try:
         source.check(file)
     except LogFileError:
@@ -152,7 +140,7 @@ def _is_whole(file: Path, source: _Source) -> bool:
     return True
 
 
-def _check_download(part: Path, url: str, source: _Source) -> None:
+def _check_download(part: Path, url: str, source: Source) -> None:
     try:
         source.check(part)
     except LogFileError as error:

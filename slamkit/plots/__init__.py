@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slamkit import se2
 from slamkit.errors import InputError
-from slamkit.evaluate import trajectory
-from slamkit.evaluate.consistency import chi2_bounds
+from slamkit.evaluate import chi2_bounds, trajectory
 from slamkit.logs import History, Log, Truth
 
 if TYPE_CHECKING:

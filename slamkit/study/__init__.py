@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slamkit import se2
+from slamkit import evaluate, se2
 from slamkit.compiled import Compiled, MachineCode
 from slamkit.errors import DivergenceError, InputError, LogFileError
-from slamkit.evaluate import consistency, trajectory
+from slamkit.evaluate import trajectory
 from slamkit.filters import FILTERS, IdealEKFSLAM
 from slamkit.logs import History, Log, PathLike, read_archive, reading, write_archive
 from slamkit.protocols import MotionModel, SensorModel
@@ -347,7 +347,7 @@ class Study:
               2 and 1 degrees of freedom (a step at which P is singular counts with the rank it has);
               ``pose_nees_median`` over the runs, ``pose_nees_above_6``: the share of the runs whose mean lies above 6;
               ``pose_nees_low``, ``pose_nees_high``: 95 % bounds of the mean of that many independent values
-              (:func:`slamkit.evaluate.consistency.chi2_bounds`): of one step; the mean over steps scatters less;
+              (:func:`slamkit.evaluate.chi2_bounds`): of one step; the mean over steps scatters less;
             - ``position_rmse_m``, ``heading_rmse_deg`` over all steps and runs;
             - ``landmark_nees`` (2 degrees of freedom) and ``landmark_rmse_m`` of the final map;
             - ``gauge_nees``, ``gauge_nees_median`` (3 degrees of freedom) and ``relative_nees_per_dof`` of the final
@@ -373,7 +373,7 @@ class Study:
         for column, title in enumerate(_COLUMNS):
             out |= _mean(f"{title}_nees", nees[:, column])
         pose = nees[np.isfinite(nees[:, 0]), 0]
-        robust = consistency.summary(pose, 3.0, 6.0) if len(pose) else None
+        robust = evaluate.summary(pose, 3.0, 6.0) if len(pose) else None
         low, high = _bounds(3.0, len(pose))
         gauge_dof = float(np.mean([t.gauge_dof for t in split if t.gauge_dof > 0])) if len(gauge_nees) else 3.0
         gauge_low, gauge_high = _bounds(gauge_dof, len(gauge_nees), 3.0 / gauge_dof)
@@ -690,7 +690,7 @@ class Study:
             figures["claims"] = self._claims()
             with _figure(4.6, 4.9) as figure:
                 covered = {
-                    name: consistency.coverage(values, dof)
+                    name: evaluate.coverage(values, dof)
                     for name in self._judged
                     for values, dof in [self._pose_nees(name)]
                     if np.any(dof > 0)
@@ -1088,8 +1088,8 @@ def _judge(setup: _Setup, log: Log, name: str, k: int, filter: LandmarkFilter, h
             A[:2, :2] = se2.rotation(frame[2])
             covariances = A @ covariances @ A.T
             variances = np.diagonal(covariances, axis1=1, axis2=2)
-        errors[rows] = consistency.state_error(poses[rows], true)
-        kinds = (consistency.pose_nees, consistency.position_nees, consistency.heading_nees)
+        errors[rows] = evaluate.state_error(poses[rows], true)
+        kinds = (evaluate.pose_nees, evaluate.position_nees, evaluate.heading_nees)
         for column, kind in enumerate(kinds):
             nees[rows, column], dof[rows, column] = _each_step(kind, poses[rows], covariances[rows], true, notes)
         places = np.array([*truth.poses[:, :2], *truth.landmarks.values()]).reshape(-1, 2)
@@ -1101,7 +1101,7 @@ def _judge(setup: _Setup, log: Log, name: str, k: int, filter: LandmarkFilter, h
             P = C @ history.landmark_covariances[known] @ C.T
             there = np.array([truth.landmarks[i] for i in history.landmark_ids if i in truth.landmarks])
             landmark_rmse = float(np.sqrt(np.mean(np.sum((places - there) ** 2, axis=1))))
-            squares, _ = _each_step(consistency.landmark_nees, places, P, there, notes)
+            squares, _ = _each_step(evaluate.landmark_nees, places, P, there, notes)
             landmark_nees = float(squares.mean())
         if any(known) and all(known) and rows[-1] == K - 1:
             from slamkit.evaluate import gauge
@@ -1141,7 +1141,7 @@ def _judge(setup: _Setup, log: Log, name: str, k: int, filter: LandmarkFilter, h
 
 
 def _each_step(
-    kind: Callable[..., consistency.NormalizedSquares], estimate: Array, P: Array, truth: Array, notes: list[str]
+    kind: Callable[..., evaluate.NormalizedSquares], estimate: Array, P: Array, truth: Array, notes: list[str]
 ) -> tuple[Array, IntArray]:
     """Values and degrees of freedom (n,); NaN and 0, and a note, where the error contradicts P or P is indefinite."""
     try:
@@ -1499,7 +1499,7 @@ def _bounds(dof: float, runs: int, scale: float = 1.0, probability: float = 0.95
     """Bounds of the mean over the runs of a χ² variable times a scale."""
     if not runs:
         return None, None
-    bounds = consistency.chi2_bounds(dof, runs, probability)
+    bounds = evaluate.chi2_bounds(dof, runs, probability)
     return scale * float(bounds.lower), scale * float(bounds.upper)
 
 

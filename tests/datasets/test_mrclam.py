@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from slamkit import EKFSLAM
 from slamkit.datasets import mrclam
 from slamkit.errors import InputError, LogFileError
-from slamkit.evaluate.trajectory import dead_reckoning, evaluate
+from slamkit.evaluate import dead_reckoning, evaluate
 from slamkit.logs import Log
 
 START = 1248272272.841  # a Unix time: its milliseconds are near the last digits of a double
@@ -300,30 +300,48 @@ def corrupt(name: str, old: bytes, new: bytes) -> Callable[[dict[str, bytes]], N
 @pytest.mark.parametrize(
     ("name", "old", "new", "line", "expected"),
     [
-        ("Robot1_Odometry.dat", b"0.1 \t 0.2", b"0.1", 4, "3 numbers: time"),
-        ("Robot1_Odometry.dat", b"0.1 \t 0.2", b"0.1 0.2 0.3", 4, "3 numbers: time"),
-        ("Robot1_Odometry.dat", b"0.1 \t 0.2", b"0.1 nan", 4, "3 numbers: time"),
-        ("Robot1_Odometry.dat", b"0.1 \t 0.2", b"0.1 inf", 4, "3 numbers: time"),
-        ("Robot1_Odometry.dat", b"0.1 \t 0.2", b"0.1 fast", 4, "3 numbers: time"),
-        ("Robot1_Odometry.dat", b"0.1 \t 0.2", b"0.1 \xff\x00", 4, "3 numbers: time"),
+        ("Robot1_Odometry.dat", b"0.1 \t 0.2", b"0.1", 4, "expected 3: time"),
+        ("Robot1_Odometry.dat", b"0.1 \t 0.2", b"0.1 0.2 0.3", 4, "expected 3: time"),
+        (
+            "Robot1_Odometry.dat",
+            b"0.1 \t 0.2",
+            b"0.1 nan",
+            4,
+            "nan is not finite, expected angular velocity [rad/s] in column 3",
+        ),
+        (
+            "Robot1_Odometry.dat",
+            b"0.1 \t 0.2",
+            b"0.1 inf",
+            4,
+            "inf is not finite, expected angular velocity [rad/s] in column 3",
+        ),
+        (
+            "Robot1_Odometry.dat",
+            b"0.1 \t 0.2",
+            b"0.1 fast",
+            4,
+            "'fast' is not a number, expected angular velocity [rad/s] in column 3",
+        ),
+        ("Robot1_Odometry.dat", b"0.1 \t 0.2", b"0.1 \xff\x00", 4, "byte 0xff, expected UTF-8 text"),
         ("Robot1_Odometry.dat", b"1248272272.852", b"-1248272272.852", 4, "within a day of the file's median 12482722"),
         ("Robot1_Odometry.dat", b"1248272272.852", b"9248272272.852", 4, "within a day of the file's median 12482722"),
         ("Robot1_Odometry.dat", b"1248272272.852", b"1248272272852", 4, "seconds on a clock"),
         ("Robot1_Measurement.dat", b"27 \t 3.5", b"27 \t -3.5", 4, "range > 0"),
         ("Robot1_Measurement.dat", b"27 \t 3.5", b"27 \t 0", 4, "range > 0"),
         ("Robot1_Measurement.dat", b"27 \t 3.5", b"27.5 \t 3.5", 4, "an integer as barcode"),
-        ("Robot1_Measurement.dat", b"27 \t 3.5", b"27 3.5 3.5", 4, "4 numbers: time"),
-        ("Robot1_Groundtruth.dat", b"1 \t 2 \t 3.5", b"1 \t 2", 4, "4 numbers: time"),
+        ("Robot1_Measurement.dat", b"27 \t 3.5", b"27 3.5 3.5", 4, "expected 4: time"),
+        ("Robot1_Groundtruth.dat", b"1 \t 2 \t 3.5", b"1 \t 2", 4, "expected 4: time"),
         ("Robot1_Groundtruth.dat", b"1248272272.861", b"1e300", 4, "seconds on a clock"),
         ("Landmark_Groundtruth.dat", b"7 \t -1.25", b"7.5 \t -1.25", 4, "subject an integer from 6"),
         ("Landmark_Groundtruth.dat", b"7 \t -1.25", b"5 \t -1.25", 4, "subject an integer from 6"),
         ("Landmark_Groundtruth.dat", b"7 \t -1.25", b"6 \t -1.25", 4, "each subject once"),
-        ("Landmark_Groundtruth.dat", b"7 \t -1.25", b"-1.25", 4, "5 numbers: subject"),
+        ("Landmark_Groundtruth.dat", b"7 \t -1.25", b"-1.25", 4, "expected 5: subject"),
         ("Barcodes.dat", b"2 \t 14", b"2 \t 14.5", 4, "two integers"),
         ("Barcodes.dat", b"2 \t 14", b"0 \t 14", 4, "two integers"),
         ("Barcodes.dat", b"2 \t 14", b"2 \t 5", 4, "each barcode once"),
         ("Barcodes.dat", b"2 \t 14", b"1 \t 14", 4, "each subject and each barcode once"),
-        ("Barcodes.dat", b"2 \t 14", b"2", 4, "2 numbers: subject"),
+        ("Barcodes.dat", b"2 \t 14", b"2", 4, "expected 2: subject"),
     ],
 )
 def test_broken_row_is_named(place: Path, name: str, old: bytes, new: bytes, line: int, expected: str) -> None:
@@ -333,20 +351,20 @@ def test_broken_row_is_named(place: Path, name: str, old: bytes, new: bytes, lin
         with pytest.raises(LogFileError) as caught:
             mrclam.load(path, 1)
         message = str(caught.value)
-        assert f"{name}, line {line}: " in message and expected in message and str(path) in message
+        assert f"{name}:{line}: " in message and expected in message and str(path) in message
 
 
 def test_row_that_only_python_can_read_is_refused(place: Path) -> None:
     files = SmallSet().texts()
     corrupt("Robot1_Odometry.dat", b"0.1 \t 0.2", b"0.1 \t 0_2")(files)
-    with pytest.raises(LogFileError, match=r"Robot1_Odometry\.dat cannot be read.*3 numbers: time"):
+    with pytest.raises(LogFileError, match=r"Robot1_Odometry\.dat:4: '0_2' is not a number, expected angular velocity"):
         mrclam.load(write_folder(files, place / "a"), 1)
 
 
 def test_every_row_with_a_column_too_many(place: Path) -> None:
     files = SmallSet().texts()
     files["Robot1_Odometry.dat"] = render([["1", "2", "3", "4"], ["2", "2", "3", "4"]])
-    with pytest.raises(LogFileError, match=r"Robot1_Odometry\.dat, line 3: .*expected 3 numbers"):
+    with pytest.raises(LogFileError, match=r"Robot1_Odometry\.dat:3: .*expected 3: time"):
         mrclam.load(write_folder(files, place / "a"), 1)
 
 

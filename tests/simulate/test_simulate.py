@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from slamkit.errors import InputError, ModelError
-from slamkit.evaluate.trajectory import dead_reckoning
+from slamkit.evaluate import dead_reckoning
 from slamkit.logs import Log
 from slamkit.models import EulerUnicycle, Odometry, RangeBearing, RelativePosition, Unicycle
 from slamkit.se2 import wrap

@@ -14,8 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamkit import EKFSLAM, History, InputError, Log, LogFileError, Truth, World, se2, simulate
-from slamkit.evaluate import consistency
+from slamkit import EKFSLAM, History, InputError, Log, LogFileError, Truth, World, evaluate, se2, simulate
 from slamkit.filters import FILTERS
 from slamkit.models import RelativePosition, Unicycle
 from slamkit.simulate import standing_world
@@ -153,7 +152,7 @@ def test_a_trial_rerun_alone_is_the_studys(study: Study) -> None:
             for history, log in (study.rerun(k, name), run_trial(world(), 11, k, name)):
                 assert log.truth is not None
                 trial = study.trials[name][k]
-                error = consistency.state_error(history.poses, log.truth.poses[1:])
+                error = evaluate.state_error(history.poses, log.truth.poses[1:])
                 np.testing.assert_array_equal(error, trial.errors)
                 sigmas = np.sqrt(np.diagonal(history.pose_covariances, axis1=1, axis2=2))
                 np.testing.assert_array_equal(sigmas, trial.sigmas)
@@ -179,13 +178,13 @@ def test_summary_is_what_the_trials_say(study: Study) -> None:
         logs = [study.rerun(k, name) for k in range(study.runs)]
         poses = np.array([h.poses for h, _ in logs])
         truth = np.array([log.truth.poses[1:] for _, log in logs if log.truth is not None])
-        nees = consistency.pose_nees(poses, np.array([h.pose_covariances for h, _ in logs]), truth).values
-        expected = consistency.summary(nees, 3)
+        nees = evaluate.pose_nees(poses, np.array([h.pose_covariances for h, _ in logs]), truth).values
+        expected = evaluate.summary(nees, 3)
         np.testing.assert_allclose(s["pose_nees"], expected.mean, rtol=1e-12)
         np.testing.assert_allclose(s["pose_nees_se"], expected.standard_error, rtol=1e-12)
         np.testing.assert_allclose(s["pose_nees_median"], expected.median, rtol=1e-12)
         assert s["pose_nees_above_6"] == expected.share_above
-        error = consistency.state_error(poses, truth)
+        error = evaluate.state_error(poses, truth)
         rmse = np.sqrt(np.mean(np.sum(error[..., :2] ** 2, -1)))
         np.testing.assert_allclose(s["position_rmse_m"], rmse, rtol=1e-12)
         heading = np.degrees(np.sqrt(np.mean(error[..., 2] ** 2)))
@@ -216,11 +215,11 @@ def test_the_ideal_filter_is_consistent() -> None:
     runs = 60
     trials = compare(["ideal"], world(20), runs, 3, jobs=2, gauge_steps=0).trials["ideal"]
     for column, dof in enumerate((3, 2, 1)):
-        bounds = consistency.chi2_bounds(dof, runs, 0.999)
+        bounds = evaluate.chi2_bounds(dof, runs, 0.999)
         final = float(np.mean([t.nees[-1, column] for t in trials]))
         assert bounds.lower < final < bounds.upper
     dof = trials[0].relative_dof
-    bounds = consistency.chi2_bounds(dof, runs, 0.999)
+    bounds = evaluate.chi2_bounds(dof, runs, 0.999)
     assert bounds.lower < np.mean([t.relative_nees for t in trials]) < bounds.upper
 
 
@@ -409,7 +408,7 @@ def test_gauge_bounds_are_of_the_rank_that_the_gauge_has(heading: float) -> None
     s = compare(["invariant"], still, 5, 2, jobs=1, gauge_steps=0)
     dof = s.trials["invariant"][0].gauge_dof
     assert dof == (3 if heading else 2)
-    bounds = consistency.chi2_bounds(dof, 5)
+    bounds = evaluate.chi2_bounds(dof, 5)
     np.testing.assert_allclose(s.summary()["invariant"]["gauge_nees_low"], 3 * bounds.lower / dof)
     np.testing.assert_allclose(s.summary()["invariant"]["gauge_nees_high"], 3 * bounds.upper / dof)
 
@@ -500,7 +499,7 @@ def test_nees_is_left_out_only_where_the_error_contradicts_the_claim(k: int, n: 
     poses, P = rng.normal(size=(n, 3)), np.tile(np.eye(3), (n, 1, 1))
     P[k] = np.diag([1.0, 0.0, 1.0])
     notes: list[str] = []
-    values, dof = _each_step(consistency.pose_nees, poses, P, np.zeros((n, 3)), notes)
+    values, dof = _each_step(evaluate.pose_nees, poses, P, np.zeros((n, 3)), notes)
     assert np.isnan(values[k]) and dof[k] == 0 and len(notes) == 1
     others = np.arange(n) != k
     np.testing.assert_allclose(values[others], np.sum(poses[others] ** 2, 1), rtol=1e-12)

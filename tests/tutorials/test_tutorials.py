@@ -67,7 +67,7 @@ CLAIMS: dict[str, dict[str, tuple[float, float]]] = {
         "wrong, runs with a negative NEES at some time": (50, 100),
         "slamkit, runs with an impossible or too large NEES at the end": (0, 15),
         "slamkit, runs with a negative NEES at some time": (0, 0),
-        "consistency.pose_nees says: the covariance at (0,": (0, 14),
+        "evaluate.pose_nees says: the covariance at (0,": (0, 14),
         "slamkit, mean NEES over 50 runs at the end": (2.36, 3.72),  # its own 95 % band
     },
     "05_a_real_robot": {
