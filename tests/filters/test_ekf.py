@@ -15,7 +15,7 @@ from slamkit import EKFSLAM
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.se2 import wrap
 
-LESSON = Path(__file__).parent / "lesson_demo.json"
+LESSON = Path(__file__).parents[1] / "lesson_demo.json"
 
 
 def lesson_filter(lesson: dict[str, Any]) -> EKFSLAM:

@@ -330,7 +330,7 @@ def test_a_robot_on_a_landmark_or_in_an_empty_world_sees_nothing() -> None:
 
 
 def test_the_lesson_world_is_the_lessons() -> None:
-    demo = json.loads(Path(__file__).with_name("lesson_demo.json").read_text())
+    demo = json.loads((Path(__file__).parents[1] / "lesson_demo.json").read_text())
     world = lesson_world()
     assert list(world.landmarks) == [0, 1, 2]
     np.testing.assert_array_equal(list(world.landmarks.values()), demo["landmarks"])
