@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,11 +19,11 @@ from slamkit.simulate import WORLDS, standing_world
 
 
 @pytest.fixture
-def short_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_comparison(monkeypatch: pytest.MonkeyPatch, register: Any) -> None:
     """Two runs of 20 steps in the end of the demo: the full unscented filter takes milliseconds a step."""
     short = replace(standing_world(), controls=np.zeros((20, 2)))
     monkeypatch.setattr(demo, "RUNS", 2)
-    monkeypatch.setitem(WORLDS._items, "standing", lambda: short)
+    register(WORLDS, "standing", lambda: short)
 
 
 @pytest.mark.usefixtures("short_comparison")

@@ -56,9 +56,7 @@ def test_a_run_that_fails_at_once_leaves_nothing_but_files_that_say_so(lesson: P
 
 @pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("with_out", [True, False])
-def test_ctrl_c_keeps_what_was_done(
-    with_out: bool, lesson: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_keeps_what_was_done(with_out: bool, lesson: Path, tmp_path: Path, register: Any) -> None:
     class Interrupted(EKFSLAM):
         def run(self, log: Log, progress: Any = False) -> History:
             history = super().run(log.head(6))
@@ -68,7 +66,7 @@ def test_ctrl_c_keeps_what_was_done(
             stop.history = history  # type: ignore[attr-defined]
             raise stop
 
-    monkeypatch.setitem(FILTERS._items, "ekf", Interrupted)
+    register(FILTERS, "ekf", Interrupted)
     done = slamkit("run", "csv", lesson, *(("--out", tmp_path / "out") if with_out else ()))
     assert done.exit_code == 130
     assert "Traceback" not in done.output
@@ -101,13 +99,13 @@ def test_a_file_is_replaced_by_a_whole_one_or_not_at_all(
 
 
 def test_an_error_that_slamkit_did_not_foresee_is_one_line_too(
-    lesson: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    lesson: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, register: Any
 ) -> None:
     class Wrong(EKFSLAM):
         def run(self, log: Log, progress: Any = False) -> History:
             raise KeyError("heading")
 
-    monkeypatch.setitem(FILTERS._items, "ekf", Wrong)
+    register(FILTERS, "ekf", Wrong)
     line = fails("run", "csv", lesson, "--out", tmp_path / "out", code=1)
     assert "KeyError: 'heading'" in line
     monkeypatch.setenv("SLAMKIT_TRACEBACK", "1")

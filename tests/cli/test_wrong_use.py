@@ -27,9 +27,7 @@ from slamkit.simulate import WORLDS
 # ---- models ----
 
 
-def test_options_go_before_the_file_and_the_file_before_the_columns(
-    lesson: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_options_go_before_the_file_and_the_file_before_the_columns(lesson: Path, register: Any) -> None:
     made: list[Any] = []
 
     class Recording(EKFSLAM):
@@ -37,7 +35,7 @@ def test_options_go_before_the_file_and_the_file_before_the_columns(
             super().__init__(*arguments, **more)
             made.append(self)
 
-    monkeypatch.setitem(FILTERS._items, "ekf", Recording)
+    register(FILTERS, "ekf", Recording)
 
     def models(*options: object) -> tuple[Any, Any]:
         succeeds("run", "csv", lesson, *options)

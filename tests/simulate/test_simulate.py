@@ -513,13 +513,14 @@ def test_a_model_class_in_place_of_an_instance_is_refused(what: str) -> None:
         replace(WORLDS["lesson"](), **{what: given})
 
 
-def test_a_world_of_ones_own_is_found_by_name_and_by_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_world_of_ones_own_is_found_by_name_and_by_module(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, register: Any
+) -> None:
     (tmp_path / "my_yard.py").write_text("from slamkit.simulate import lesson_world\nyard = lesson_world\nsize = 3\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     assert WORLDS.find("my_yard:yard") is WORLDS["lesson"]
     with pytest.raises(InputError, match=r"expected|must be a slamkit\.World.*3"):
         WORLDS.find("my_yard:size")
-    monkeypatch.setattr(WORLDS, "_items", dict(WORLDS))
-    WORLDS.register("yard", WORLDS["lesson"])
+    register(WORLDS, "yard", WORLDS["lesson"])
     assert WORLDS.find("yard") is WORLDS["lesson"]
