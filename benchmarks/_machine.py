@@ -1,4 +1,4 @@
-"""What a benchmark says of the machine it ran on, so that its numbers can be read."""
+"""Facts about the machine on which a benchmark ran."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores, load and versions, as JSON can hold them."""
+    """Processor, cores, load and versions, as JSON values."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
@@ -20,14 +20,14 @@ def machine() -> dict[str, Any]:
 
 
 def sentence(facts: dict[str, Any]) -> str:
-    """The same in words."""
+    """The facts as one sentence."""
     versions = ", ".join(f"{name} {facts[name]}" for name in ("numpy", "scipy", "numba", "filterpy"))
     load = "" if facts["load"] is None else f", load {facts['load']:g} at the start"
     return f"{facts['processor']}, {facts['cores']} cores{load}; Python {facts['python']}, {versions}"
 
 
 def _processor() -> str:
-    """The processor's name where the system tells it, else its architecture."""
+    """The name of the processor if the system gives it, otherwise its architecture."""
     try:
         with open("/proc/cpuinfo") as file:
             names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]

@@ -1,4 +1,4 @@
-"""One thread for the linear algebra under NumPy and SciPy; import this before either, for they read it once."""
+"""Limit the linear algebra of NumPy and SciPy to one thread. Import this first: they read the setting once."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""A contender in a process of its own, which sleeps while the others have their turn."""
+"""A contender in a process of its own, which sleeps while others are measured."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from contenders import Contender, MissingError, contender
 from contenders.triangle import Passes
 from scipy.linalg.blas import dsyrk
 
-SAMPLE = 0.2  # [s]; no sample is shorter
-WINDOW = 50  # steps of the drive over which a filter is sampled that is the slower the more steps it has taken
-MANY, LONG = 1000, 5.0  # a filter that puts work off is sampled over so many steps, or seconds where that is shorter
-LIMIT = 900.0  # [s]; no call of a worker may take longer
+SAMPLE = 0.2  # [s]; least duration of a sample
+WINDOW = 50  # steps of a sample of a filter whose steps become slower over time
+MANY, LONG = 1000, 5.0  # a sample of a filter that defers work has this many steps, or seconds if that is shorter
+LIMIT = 900.0  # [s]; longest duration of a call of a worker
 
 
 class Track:
-    """One contender on its way along the work."""
+    """One contender and its position in the work."""
 
     def __init__(self, name: str, work: Work) -> None:
         self.work = work
@@ -36,7 +36,7 @@ class Track:
         self.at = self.work.survey
 
     def advance(self, steps: int) -> float:
-        """Seconds that the next steps take; from the survey's end again where the work has no more."""
+        """Time of the next steps [s]. Restarts after the survey if fewer are left."""
         if self.at + steps > self.work.steps:
             self._restart()
         taken = seconds(self.contender.ready(self.at, self.at + steps))
@@ -44,21 +44,21 @@ class Track:
         return taken
 
     def position(self) -> int:
-        """Steps of the drive that are behind it."""
+        """Number of steps of the drive that are done."""
         return self.at - self.work.survey
 
     def belief(self, steps: int, entries: IntArray) -> tuple[Array, Array]:
-        """State (D,) and covariance (n, n) of some entries after so many steps of the drive."""
+        """State (D,), and covariance (n, n) of some entries, after this many steps of the drive."""
         if steps > self.position():
             self.advance(steps - self.position())
         x, block = self.contender.joint(entries)
         return np.array(x), np.array(block)
 
     def calibrate(self) -> int:
-        """Steps in a row that make a good sample; fewer where the work has no more, which is then done repeatedly.
+        """Number of consecutive steps of a good sample. If the work has fewer, a sample repeats them.
 
-        A filter's first call, and what `run` does once a log, cost as much as hundreds of steps: no short sample tells
-        how long a step takes.
+        The first call of a filter, and what `run` does once per log, cost as much as hundreds of steps, so a short
+        sample does not show how long a step takes.
         """
         most = self.work.steps - self.work.survey
         if self.contender.grows:
@@ -74,7 +74,7 @@ class Track:
         return steps
 
     def sample(self, steps: int) -> float:
-        """Seconds a step."""
+        """Time of a step [s]."""
         taken, done = 0.0, 0
         while taken < SAMPLE:
             if self.contender.grows:
@@ -84,13 +84,13 @@ class Track:
         return taken / done
 
     def aged(self, steps: int) -> float:
-        """Seconds a step after so many steps of the drive."""
+        """Time of a step [s] after this many steps of the drive."""
         self._restart()
         self.advance(steps)
         return self.advance(WINDOW) / WINDOW
 
     def worst(self, steps: int, repeats: int) -> Array:
-        """Seconds (steps,) of each step called by itself, the least of some repeats: what the machine did apart."""
+        """Time of each single step (steps,) [s]: the least of several repeats, to exclude other load."""
         runs = []
         for _ in range(repeats):
             self._restart()
@@ -100,23 +100,23 @@ class Track:
 
 
 class Floors:
-    """What this machine needs for the least that a filter can do which touches all of P in a step."""
+    """Times of the least work of any filter that touches all of P in a step."""
 
     def __init__(self, dim: int) -> None:
         self.passes = Passes(dim)
         self.rows = np.random.default_rng(0).standard_normal((2 * SIGHTINGS, dim)).T
 
     def sample(self) -> tuple[float, float]:
-        """Seconds of one pass over the triangle, and of the 8 D² multiply-adds that 8 sightings cost as one dsyrk."""
+        """Time of one pass over the triangle, and of the 8 D² multiply-adds of 8 sightings as one dsyrk [s]."""
         return _each(self.passes), _each(self._multiply)
 
     def _multiply(self) -> None:
-        # BLAS counts by columns: the transpose's upper triangle is P's lower one.
+        # BLAS stores columns first: the upper triangle of the transpose is the lower triangle of P.
         dsyrk(-1e-30, self.rows, 1.0, self.passes.P.T, overwrite_c=1)
 
 
 def _each(go: Callable[[], object]) -> float:
-    """Seconds of one call, from so many in a row that they make a sample."""
+    """Time of one call [s], from enough calls in a row for a sample."""
     calls, taken = 1, 0.0
     while taken < SAMPLE:
         calls *= 4
@@ -130,14 +130,14 @@ def _repeat(go: Callable[[], object], calls: int) -> None:
 
 
 def peak(name: str, small: Work, work: Work) -> float:
-    """Bytes that a contender adds at its peak to a process that has done a small work, survey and flush, before.
+    """Peak memory of a contender [bytes], above that of its process after a small work with survey and flush.
 
-    So the interpreter, the compiled code and the work itself do not count; what the contender allocates does.
+    The interpreter, the compiled code and the work itself do not count. What the contender allocates does.
 
     Raises
     ------
     MissingError
-        The system is not Linux: no other tells a process to measure its peak anew.
+        The system is not Linux. Only Linux lets a process reset its peak.
     """
     Track(name, small).advance(small.steps - small.survey)
     gc.collect()
@@ -148,28 +148,28 @@ def peak(name: str, small: Work, work: Work) -> float:
 
 
 def _forget_peak() -> float:
-    """Have the system take the present memory [bytes], which is returned, for the process's peak."""
+    """Reset the peak memory of this process to its present memory, and return that [bytes]."""
     try:
         Path("/proc/self/clear_refs").write_text("5")
     except OSError:
-        raise MissingError("the peak of a process can be measured on Linux alone") from None
+        raise MissingError("the peak memory of a process can be measured only on Linux") from None
     return _memory("VmRSS")
 
 
 def _memory(field: str) -> float:
-    """What the system says of this process [bytes]."""
+    """One memory field of this process [bytes]."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return 1024.0 * int(next(line for line in lines if line.startswith(f"{field}:")).split()[1])
 
 
 def _serve(pipe: Connection) -> None:
-    """Make what is asked for, call its methods, and send back what they return or raise."""
+    """Make the requested object, call its methods, and send back what they return or raise."""
     held: Any = None
     while True:
         method, arguments = pipe.recv()
         try:
             if method == "make":
-                held = None  # the old one goes before the new one comes: there may not be room for both
+                held = None  # delete the old object first: there may not be memory for both
                 cls, *arguments = arguments
                 held, result = cls(*arguments), None
             elif method == "drop":
@@ -185,7 +185,7 @@ def _serve(pipe: Connection) -> None:
 
 
 class Worker:
-    """The near end of such a process."""
+    """A process that holds one object, as its parent sees it."""
 
     def __init__(self) -> None:
         context = get_context("spawn")
@@ -195,16 +195,16 @@ class Worker:
         far.close()
 
     def __call__(self, method: Any, *arguments: Any) -> Any:
-        """Have the far end call a method of what it holds, or a function, and wait for the result.
+        """Call a method of the object that the process holds, or a function in the process, and wait for the result.
 
         Raises
         ------
         TimeoutError
-            It takes longer than `LIMIT`.
+            The call takes longer than `LIMIT`.
         RuntimeError
             The process has ended.
         Exception
-            Whatever the call raises.
+            Any error of the call.
         """
         self._pipe.send((method, arguments))
         if not self._pipe.poll(LIMIT):

@@ -1,4 +1,4 @@
-"""The work that every contender of the benchmark does: a survey that maps a field, then a drive through it."""
+"""The work of every contender: a survey that maps a field of landmarks, then a drive through it."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from slamkit import EKFSLAM, Log, Scan, Storage
+from slamkit.arrays import Array
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.se2 import wrap
 from slamkit.simulate import random_world, simulate
 
-Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SIGHTINGS = 8  #: of a step of the drive, or as many as there are landmarks
+SIGHTINGS = 8  #: per step of the drive; all landmarks if there are fewer
 DRIVE = 5000  #: steps
 DENSITY = 0.1  #: landmarks per square metre
-NEAREST = 0.5  #: [m]; the drive sights no landmark so near while it has others: the range's noise is much of it
+NEAREST = 0.5  #: [m]; nearer landmarks are sighted last, because the range noise is large compared with their range
 SIGMA_V, SIGMA_OMEGA = 0.02, float(np.deg2rad(0.1))  #: [m/s], [rad/s]
 SIGMA_RANGE, SIGMA_BEARING = 0.1, float(np.deg2rad(2.0))  #: [m], [rad]
-START = np.array([0.1, 0.1, 0.01])  #: standard deviations of the first pose; so every landmark depends on every other
+START = np.array([0.1, 0.1, 0.01])  #: standard deviations of the first pose [m, m, rad]; they correlate all landmarks
 
-_STRIDE = (SIGHTINGS / DENSITY) ** 0.5  # [m]; a square of this side holds SIGHTINGS landmarks on the average
-_SURVEY_DT = 0.4  # [s]; a stride in that time is 80 km/h
+_STRIDE = (SIGHTINGS / DENSITY) ** 0.5  # [m]; a square of this side holds SIGHTINGS landmarks on average
+_SURVEY_DT = 0.4  # [s]; one stride in this time is 80 km/h
 
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """Steps in flat arrays, from which every contender takes the form that it needs.
+    """Steps in flat arrays. Each contender converts them to its own form.
 
-    Step k holds the control ``controls[k]`` over ``dt[k]``, then come the sightings first[k] … first[k+1]-1. The first
-    `survey` steps sight each landmark once, so that landmark i is the i-th to be appended to the state; the others
-    sight what is mapped.
+    Step k applies ``controls[k]`` for ``dt[k]``, followed by the sightings first[k] … first[k+1]-1. The first `survey`
+    steps sight each landmark once, so that landmark i is the i-th to be appended to the state. All later sightings are
+    of mapped landmarks.
     """
 
-    landmarks: int  #: N; their ids are 0 … N-1
-    survey: int  #: number of steps that map
+    landmarks: int  #: N; the ids are 0 … N-1
+    survey: int  #: number of steps of the survey
     times: Array  #: (K + 1,) [s]
     controls: Array  #: (K, 2): speed [m/s], turn rate [rad/s]
     first: IntArray  #: (K + 1,)
@@ -49,7 +49,7 @@ class Work:
 
     @property
     def steps(self) -> int:
-        """K, the survey's included."""
+        """K, including the survey."""
         return len(self.controls)
 
     @property
@@ -59,11 +59,11 @@ class Work:
 
     @cached_property
     def dt(self) -> Array:
-        """Durations (K,) [s]; from the times, as a log has them."""
+        """Durations (K,) [s], computed from the times as in a log."""
         return np.diff(self.times)
 
     def log(self, begin: int, end: int) -> Log:
-        """Steps begin … end-1, not yet merged by time."""
+        """Steps begin … end-1 as a log."""
         seen = slice(self.first[begin], self.first[end])
         return Log(
             control_times=self.times[begin:end],
@@ -76,12 +76,12 @@ class Work:
         )
 
     def scan(self, step: int) -> Scan:
-        """What one step sights."""
+        """The sightings of one step."""
         seen = slice(self.first[step], self.first[step + 1])
         return Scan(tuple(self.ids[seen].tolist()), self.z[seen])
 
     def surveyed(self, storage: Storage | None = None) -> EKFSLAM:
-        """The standard EKF after the survey: every landmark mapped, the covariance dense."""
+        """The standard EKF after the survey: every landmark is mapped and the covariance is dense."""
         motion, sensor = Unicycle(SIGMA_V, SIGMA_OMEGA), RangeBearing(SIGMA_RANGE, SIGMA_BEARING)
         f = EKFSLAM(motion, sensor, self.pose, np.diag(START**2), storage=storage)
         f.run(self.log(0, self.survey))
@@ -89,7 +89,7 @@ class Work:
 
 
 def make_work(landmarks: int, rng: np.random.Generator, *, drive: int = DRIVE, scattered: bool = False) -> Work:
-    """A field of landmarks, a quick pass over it that maps them, and a drive that sights them again.
+    """A field of landmarks, a survey that maps them, and a drive that sights them again.
 
     Parameters
     ----------
@@ -98,9 +98,9 @@ def make_work(landmarks: int, rng: np.random.Generator, *, drive: int = DRIVE, s
     drive : int
         Steps of 0.1 s after the survey.
     scattered : bool
-        False: each step of the drive sights the nearest landmarks, so that what is in sight changes slowly.
-        True: landmarks drawn from the whole map, others each step, however far. No robot does that; it is the worst
-        that can happen to a filter that profits from staying in one place.
+        False: each step of the drive sights the nearest landmarks, so that the landmarks in view change slowly.
+        True: each step sights landmarks drawn anew from the whole map. No robot does that. It is the worst case for a
+        filter that takes advantage of staying in one place.
     """
     world = random_world(rng, landmarks, steps=drive, density=DENSITY)
     world = replace(world, motion=Unicycle(SIGMA_V, SIGMA_OMEGA))
@@ -139,9 +139,10 @@ def make_work(landmarks: int, rng: np.random.Generator, *, drive: int = DRIVE, s
 
 
 def _survey_path(side: float) -> tuple[Array, Array, Array, IntArray]:
-    """First pose (3,), controls (T, 2), stops (n, 2) and the steps (n,) that end there; it ends where the drive begins.
+    """First pose (3,), controls (T, 2), stops (n, 2), and the steps (n,) that end at the stops.
 
-    Up and down a square around the origin, turning on the spot, then to the origin.
+    The path covers a square around the origin in lanes, with turns on the spot, and ends at the origin, where the drive
+    begins.
     """
     lanes = int(np.ceil(side / _STRIDE))
     stride = side / lanes
@@ -164,7 +165,7 @@ def _survey_path(side: float) -> tuple[Array, Array, Array, IntArray]:
 
 
 def _nearest(places: Array, positions: Array) -> IntArray:
-    """Rows of the landmarks that are sighted from each position, ascending."""
+    """Rows of the landmarks sighted from each position, ascending."""
     candidates = min(len(places), 2 * SIGHTINGS)
     distance, rows = cKDTree(places).query(positions, candidates)
     order = np.argsort(np.where(distance < NEAREST, np.inf, distance), axis=1, kind="stable")

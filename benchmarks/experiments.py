@@ -1,22 +1,22 @@
-"""Experiments A to D: what the family's filters do in four simulated worlds, beside published and reference values.
+"""Experiments A to D: the filters in four simulated worlds, compared with published and reference values.
 
     python benchmarks/experiments.py [--only A,C] [--runs M] [--seed S] [--jobs J] [--out DIR]
 
-A, D  Ten loops past 20 landmarks, relative positions (A) or range and bearing (D). Filters that leave the heading
-      unobservable must be as good, and as consistent, as the ideal filter: within 10 % of its NEES and RMSE. All of
-      them see the same noise, so that the ratio to the ideal is known better than either number.
-maps  The world of A on other maps: how much the standard EKF's NEES depends on where the landmarks lie.
-B     The 2-D SLAM benchmark of UKF-M: within three standard errors of what is published.
-C     A robot that stands still: how well the standard EKF claims to know a heading that nothing measures.
+A, D  Ten loops past 20 landmarks, with relative positions (A) or range and bearing (D). Filters that leave the heading
+      unobservable must have NEES and RMSE within 10 % of those of the ideal filter. All filters see the same noise, so
+      that the ratio to the ideal filter is known better than either number.
+maps  The world of A with other maps: how much the NEES of the standard EKF depends on the positions of the landmarks.
+B     The 2-D SLAM benchmark of UKF-M. Results must be within three standard errors of the published values.
+C     A robot that stands still: the uncertainty that the standard EKF claims for a heading that no sensor measures.
 
-± is one standard error over the runs. Writes experiments.json, experiments.md and experiments.png.
+± is one standard error over the runs. The script writes experiments.json, experiments.md and experiments.png.
 """
 
 from __future__ import annotations
 
 import os
 
-# One thread for each process: the libraries under NumPy and SciPy read these once, when they are loaded.
+# One thread for each process. The libraries of NumPy and SciPy read these variables once, when they are loaded.
 os.environ.update(
     dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1")
 )
@@ -31,11 +31,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 from _machine import machine, sentence
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from rich.console import Console
 
 from slamkit import World
-from slamkit.evaluate.consistency import chi2_bounds
+from slamkit.arrays import Array
+from slamkit.evaluate import chi2_bounds
 from slamkit.evaluate.run_report import write_json
 from slamkit.plots import plot_bars, save, shared_legend, style
 from slamkit.simulate import loop_world, ring_world, standing_world
@@ -44,18 +45,17 @@ from slamkit.study import Study, compare
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
-#: compare() with the script's settings: title, filters, world, runs, and further arguments.
+#: compare() with the settings of the script. Arguments: title, filters, world, runs, and further ones of compare().
 Run = Callable[..., Study]
 
 RUNS = {"A": 50, "B": 100, "C": 100, "D": 50, "maps": 20}
-LONGER = {"A": 8, "B": 4, "D": 8}  # the study goes on to so many times its runs with the filters that are judged
+LONGER = {"A": 8, "B": 4, "D": 8}  # factor by which the study of the judged filters is continued
 MAPS = range(6)
 
 JUDGED = ("fej", "oc", "invariant")
 FAMILY = ("ideal", "ekf", *JUDGED, "iterated", "robocentric", "ukf", "oc-ukf")
-MARGIN = 0.1  # share of the ideal's value by which a judged filter may differ from it
+MARGIN = 0.1  # largest relative difference between a judged filter and the ideal one
 SENSORS = {"A": "relative", "D": "range-bearing"}
 MEASURES = {
     "pose_nees": "pose NEES (3)",
@@ -63,7 +63,7 @@ MEASURES = {
     "heading_rmse_deg": "heading RMSE [°]",
 }
 DIGITS = {"pose_nees": 2, "position_rmse_m": 3, "heading_rmse_deg": 2}
-#: 50 runs of one map, which is not one of loop_world's: (pose NEES, its standard error), position, heading.
+#: (pose NEES, its standard error), position RMSE, heading RMSE in 50 runs with one map, which loop_world lacks.
 REFERENCE: dict[str, dict[str, tuple[tuple[float, float | None], float, float | None]]] = {
     "A": {
         "ideal": ((3.62, 0.28), 0.703, 3.11),
@@ -80,24 +80,24 @@ REFERENCE: dict[str, dict[str, tuple[tuple[float, float | None], float, float | 
         "invariant": ((3.39, None), 0.663, None),
     },
 }
-REFERENCE_MAPS = (11.9, 52.7)  # the standard EKF's pose NEES on the reference's map of A, and on another
+REFERENCE_MAPS = (11.9, 52.7)  # pose NEES of the standard EKF with the reference's map of A, and with another map
 
 ERRORS_ALLOWED = 3.0  # standard errors
-RING_MEASURES = {  # key of Study.summary → (name, degrees of freedom by which it is published, digits)
+RING_MEASURES = {  # key of Study.summary → (name, degrees of freedom by which the published value is divided, digits)
     "heading_rmse_deg": ("heading RMSE [°]", 1, 2),
     "position_rmse_m": ("position RMSE [m]", 1, 3),
     "heading_nees": ("heading NEES / dof", 1, 2),
     "position_nees": ("position NEES / dof", 2, 2),
 }
 PUBLISHED_RUNS = 100
-#: Brossard, Barrau & Bonnabel, ICRA (2020), in the order of RING_MEASURES; without standard errors.
+#: Brossard, Barrau & Bonnabel, ICRA (2020), in the order of RING_MEASURES. No standard errors are published.
 PUBLISHED = {
     "ekf": (3.02, 0.67, 2.88, 2.56),
     "invariant": (2.51, 0.55, 1.01, 1.17),
     "ukf": (3.01, 0.67, 2.93, 2.63),
 }
 
-#: σ₀ [°] → what the standard EKF claims for its heading after 300 scans [°].
+#: σ₀ [°] → standard deviation of the heading that the standard EKF claims after 300 scans [°].
 CLAIMED = {0.5: 0.498, 1.0: 0.986, 2.0: 1.789, 5.0: 1.950, 10.0: 1.742, 20.0: 1.551}
 ORDERS = ("sequential", "batch")
 SPREADS_ALLOWED = 2.0  # standard deviations of a single run
@@ -108,16 +108,16 @@ KEPT = 1e-9  # relative
 
 
 def mean(values: ArrayLike) -> Row:
-    """Mean over the runs and its standard error."""
+    """Mean over the runs, and its standard error."""
     v = np.asarray(values, dtype=float)
     return {"value": float(v.mean()), "se": float(v.std(ddof=1) / np.sqrt(len(v)))}
 
 
 def ratio(values: ArrayLike, yardstick: ArrayLike, root: bool = False) -> Row:
-    """Mean of values (M,) over that of a yardstick (M,) in the same runs, with its standard error; or the root of it.
+    """Mean of values (M,) divided by the mean of a yardstick (M,) in the same runs, or its root; with standard error.
 
-    The error is that of values - ratio · yardstick (delta method), in which all that a run does to both cancels. A run
-    that lacks one of the two (NaN) is left out.
+    The error is that of values - ratio · yardstick (delta method), in which effects common to both cancel. A run with a
+    NaN in either is left out.
     """
     a, b = np.asarray(values, dtype=float), np.asarray(yardstick, dtype=float)
     both = np.isfinite(a) & np.isfinite(b)
@@ -128,13 +128,13 @@ def ratio(values: ArrayLike, yardstick: ArrayLike, root: bool = False) -> Row:
 
 
 def beyond(found: Row, margin: float = MARGIN) -> float:
-    """Standard errors by which a ratio lies further from one than the margin; not positive where it does not."""
+    """Excess of a ratio's distance from 1 over the margin, in standard errors. Not positive within the margin."""
     excess = abs(found["value"] - 1) - margin
     return float(excess / found["se"]) if found["se"] > 0 else float(np.sign(excess) * np.inf if excess else 0.0)
 
 
 def by_run(study: Study, name: str) -> dict[str, Array]:
-    """(M,) of every run: mean pose NEES, mean square errors of position and heading; NaN where the filter failed."""
+    """Mean pose NEES, and mean square errors of position and heading, of each run (M,). NaN where the filter failed."""
     squares = np.array([t.mean_square_error for t in study.trials[name]])
     nees = np.array([t.mean_nees[0] for t in study.trials[name]])
     return {"pose_nees": nees, "position_rmse_m": squares[:, 0], "heading_rmse_deg": squares[:, 1]}
@@ -144,7 +144,7 @@ def by_run(study: Study, name: str) -> dict[str, Array]:
 
 
 def loop(study: Study, reference: Mapping[str, tuple[tuple[float, float | None], float, float | None]]) -> list[Row]:
-    """One row a filter: its numbers, the reference's, and how they compare with the ideal filter's in the same runs."""
+    """One row for each filter: measured and reference values, and ratios to the ideal filter in the same runs."""
     ideal = by_run(study, "ideal")
     rows = []
     for name, summary in study.summary().items():
@@ -171,7 +171,7 @@ def loop(study: Study, reference: Mapping[str, tuple[tuple[float, float | None],
 
 
 def scattered_map(map_seed: int) -> World:
-    """The world of A with its landmarks anywhere around the circle, instead of one in each twentieth of it."""
+    """The world of A with landmarks anywhere around the circle, instead of one in each twentieth of it."""
     world = loop_world()
     rng = np.random.default_rng(map_seed)
     n, radius = len(world.landmarks), float(world.controls[0, 0] / world.controls[0, 1])
@@ -188,7 +188,7 @@ MAP_KINDS: dict[str, Callable[[int], World]] = {
 
 
 def maps(run: Run, runs: int) -> list[Row]:
-    """One row a map: the standard EKF and the ideal filter."""
+    """One row for each map: the standard EKF and the ideal filter."""
     rows = []
     for kind, make in MAP_KINDS.items():
         for map_seed in MAPS:
@@ -198,10 +198,10 @@ def maps(run: Run, runs: int) -> list[Row]:
 
 
 def ring(study: Study, known_exactly: bool) -> list[Row]:
-    """One row a filter and measure: measured, published, and how many standard errors lie between them.
+    """One row for each filter and measure: measured and published value, and their difference in standard errors.
 
-    These are the errors of what is measured; or, where the published value is not to pass for exact, of the difference,
-    the published runs scattering as those do.
+    If `known_exactly`, the standard error is that of the measured value. Otherwise it is that of the difference, where
+    the published runs are assumed to scatter as the measured ones do.
     """
     rows = []
     for name, summary in study.summary().items():
@@ -220,7 +220,7 @@ def ring(study: Study, known_exactly: bool) -> list[Row]:
 
 
 def standing(run: Run, runs: int) -> list[Row]:
-    """One row a σ₀ and order of the updates: what the EKF claims, and what the consistent filters keep."""
+    """One row for each σ₀ and order of the updates: deviations claimed by the EKF and by the consistent filters."""
     rows = []
     for order in ORDERS:
         for degrees, printed in CLAIMED.items():
@@ -261,20 +261,20 @@ def standing(run: Run, runs: int) -> list[Row]:
 
 
 def plus_minus(value: float | None, se: float | None, digits: int) -> str:
-    """A number of a table with its standard error, if it has one."""
+    """A number in a table, with its standard error if there is one."""
     if value is None:
         return "–"
     return f"{value:.{digits}f}" + ("" if se is None else f" ± {se:.{digits}f}")
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> list[str]:
-    """A Markdown table whose first columns are flush left."""
+    """A Markdown table. The first `left` columns are left-aligned, the others right-aligned."""
     align = [":--" if column < left else "--:" for column in range(len(header))]
     return [f"| {' | '.join(row)} |" for row in (header, align, *rows)]
 
 
 def loop_table(rows: Sequence[Row]) -> list[str]:
-    """Experiments A and D: measured beside the reference."""
+    """Experiments A and D: measured and reference values."""
     header = ["filter", *(cell for title in MEASURES.values() for cell in (title, "reference")), "median NEES"]
     return table(
         header,
@@ -299,7 +299,7 @@ def loop_table(rows: Sequence[Row]) -> list[str]:
 
 
 def within_text(row: Row) -> str:
-    """The verdict on one filter, and by how much a ratio lies outside."""
+    """Whether the ratios of a filter are within the margin; if not, by how much they are outside."""
     if row["within"] is None:
         return "–"
     outside = [
@@ -311,7 +311,7 @@ def within_text(row: Row) -> str:
 
 
 def ratio_table(rows: Sequence[Row]) -> list[str]:
-    """Every filter over the ideal one in the same runs."""
+    """Ratio of each filter to the ideal one in the same runs."""
     return table(
         ("filter", "runs", "NEES / ideal", "position RMSE / ideal", "heading RMSE / ideal", "within 10 %"),
         [
@@ -329,7 +329,7 @@ def ratio_table(rows: Sequence[Row]) -> list[str]:
 
 
 def map_table(rows: Sequence[Row]) -> list[str]:
-    """Other maps."""
+    """Experiment A with other maps."""
     return table(
         ("landmarks", "map", "EKF NEES", "its median", "ideal NEES", "EKF position RMSE [m]", "ideal"),
         [
@@ -350,7 +350,7 @@ def map_table(rows: Sequence[Row]) -> list[str]:
 
 
 def ring_table(rows: Sequence[Row]) -> list[str]:
-    """Experiment B: measured beside published."""
+    """Experiment B: measured and published values."""
     return table(
         ("filter", "measure", "runs", "measured", "published", "difference / SE", "within 3"),
         [
@@ -371,7 +371,7 @@ def ring_table(rows: Sequence[Row]) -> list[str]:
 
 
 def standing_table(rows: Sequence[Row]) -> list[str]:
-    """Experiment C: what is claimed for a heading that nothing measures."""
+    """Experiment C: deviations claimed for a heading that no sensor measures."""
     return table(
         ("updates", "σ₀ [°]", "EKF claims [°]", "spread of runs [°]", "reference [°]", "(reference - mean) / spread",
          "within 2", "EKF errs by [°]", "fej, oc, invariant change σ₀ by"),
@@ -397,7 +397,7 @@ SUMMARY = ("world, runs", "filter", "measure", "measured", "in more runs", "publ
 
 
 def summary_rows(results: Row) -> list[tuple[str, ...]]:
-    """What was aimed at and what came out, as SUMMARY says."""
+    """Targets and results, with the columns of SUMMARY."""
     rows: list[tuple[str, ...]] = []
     for letter, found in results.items():
         if letter in SENSORS:
@@ -410,7 +410,7 @@ def summary_rows(results: Row) -> list[tuple[str, ...]]:
 
 
 def loop_summary(letter: str, rows: Sequence[Row], longer: Mapping[str, Row]) -> list[tuple[str, ...]]:
-    """Experiments A and D: the ideal filter and the EKF in numbers, the judged ones over the ideal."""
+    """Experiments A and D: values of the ideal filter and the EKF, and ratios of the judged filters."""
 
     def numbers(row: Row, value: str, se: str) -> str:
         return ", ".join(plus_minus(row[key][value], row[key][se], digits) for key, digits in DIGITS.items())
@@ -441,7 +441,7 @@ def loop_summary(letter: str, rows: Sequence[Row], longer: Mapping[str, Row]) ->
 
 
 def ring_summary(rows: Sequence[Row], longer: Sequence[Row]) -> list[tuple[str, ...]]:
-    """Experiment B: one row a filter."""
+    """Experiment B: one row for each filter."""
 
     def of(name: str, results: Sequence[Row]) -> tuple[str, str]:
         own = [row for row in results if row["filter"] == name]
@@ -464,7 +464,7 @@ def ring_summary(rows: Sequence[Row], longer: Sequence[Row]) -> list[tuple[str, 
 
 
 def standing_summary(rows: Sequence[Row]) -> list[tuple[str, ...]]:
-    """Experiment C: one row an order for the EKF, one for the filters that keep what they know."""
+    """Experiment C: one row for each order of the EKF, and one for the judged filters."""
     found: list[tuple[str, ...]] = []
     for order in ORDERS:
         own = [row for row in rows if row["order"] == order]
@@ -487,7 +487,7 @@ def standing_summary(rows: Sequence[Row]) -> list[tuple[str, ...]]:
 
 
 def loop_section(letter: str, results: Row) -> list[str]:
-    """Experiments A and D in words and tables."""
+    """Section on experiment A or D."""
     rows, longer = results["rows"], results["longer"]
     runs, more = rows[0]["runs"], longer[0]["runs"]
     bounds = chi2_bounds(3, runs)
@@ -505,7 +505,7 @@ def loop_section(letter: str, results: Row) -> list[str]:
 
 
 def map_section(rows: Sequence[Row]) -> list[str]:
-    """Other maps in words and a table."""
+    """Section on other maps."""
     ranges = [
         f"{min(found):.1f} to {max(found):.1f}"
         for kind in MAP_KINDS
@@ -522,7 +522,7 @@ def map_section(rows: Sequence[Row]) -> list[str]:
 
 
 def ring_section(results: Row) -> list[str]:
-    """Experiment B in words and a table."""
+    """Section on experiment B."""
     rows, longer = results["rows"], results["longer"]
     return [
         f"## B. Ring world: {rows[0]['runs']} runs", "",
@@ -539,7 +539,7 @@ def ring_section(results: Row) -> list[str]:
 
 
 def standing_section(rows: Sequence[Row]) -> list[str]:
-    """Experiment C in words and a table."""
+    """Section on experiment C."""
     large = [row["spread_deg"] for row in rows if row["sigma_0_deg"] >= 2]
     return [
         f"## C. Standing robot: {rows[0]['runs']} runs of each, 300 scans", "",
@@ -557,7 +557,7 @@ def standing_section(rows: Sequence[Row]) -> list[str]:
 
 
 def markdown(facts: Row, results: Row) -> str:
-    """All tables with what is needed to read them."""
+    """The report: all tables with explanations."""
     lines = ["# Experiments", ""]
     lines += [
         "Every filter runs over the same simulated runs. ± is one standard error over the runs; NEES is not divided by "
@@ -586,7 +586,7 @@ def markdown(facts: Row, results: Row) -> str:
 
 
 def draw(results: Row, path: Path) -> None:
-    """A panel an experiment, and one for the maps."""
+    """Draw one panel for each experiment, and one for the maps."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -617,7 +617,7 @@ def draw(results: Row, path: Path) -> None:
         save(figure, path, dpi=150)
 
 
-#: How a value that is not measured here is drawn.
+#: Look of a value that is not measured here.
 KNOWN: Row = {
     "marker": "D", "markersize": 5, "markerfacecolor": "white", "markeredgecolor": "black", "linestyle": "none",
     "zorder": 4, "label": "reference",
@@ -625,12 +625,12 @@ KNOWN: Row = {
 
 
 def title(ax: Axes, text: str) -> None:
-    """What a panel shows."""
+    """Write the title of a panel."""
     ax.set_title(text, fontsize=9, loc="left")
 
 
 def draw_loop(ax: Axes, letter: str, rows: Sequence[Row]) -> None:
-    """Bars of the pose NEES with the reference's values on them."""
+    """Bars of the pose NEES, with markers at the reference values."""
     values = {row["filter"]: row["pose_nees"] for row in rows}
     bounds = chi2_bounds(3, rows[0]["runs"])
     bars = plot_bars(
@@ -641,12 +641,12 @@ def draw_loop(ax: Axes, letter: str, rows: Sequence[Row]) -> None:
         band=(float(bounds.lower), float(bounds.upper)),
     )
     for name in values:
-        bars[name][-1].remove()  # the value as text would lie under the reference's marker
+        bars[name][-1].remove()  # the marker of the reference would cover the text
     reference = [
         (row, v["reference"], v["reference_se"] or 0.0) for row, v in enumerate(values.values()) if v["reference"]
     ]
     at, known, error = (np.array(column) for column in zip(*reference, strict=True))
-    at = at + 0.18  # so that its error bar and the bar's lie side by side
+    at = at + 0.18  # beside the error bar of the measured value
     ax.errorbar(
         known, at, xerr=np.where(error > 0, error, np.nan), ecolor="black", elinewidth=1.0, capsize=2.5, **KNOWN
     )
@@ -657,7 +657,7 @@ def draw_loop(ax: Axes, letter: str, rows: Sequence[Row]) -> None:
 
 
 def draw_maps(ax: Axes, rows: Sequence[Row]) -> None:
-    """NEES of the standard EKF and the ideal filter on every map."""
+    """NEES of the standard EKF and the ideal filter with each map."""
     at = np.arange(len(rows)) + np.array([0.8 if row["landmarks"] == "anywhere" else 0.0 for row in rows])
     for name in ("ekf", "ideal"):
         look = style(name)
@@ -686,7 +686,7 @@ def draw_maps(ax: Axes, rows: Sequence[Row]) -> None:
 
 
 def draw_ring(ax: Axes, rows: Sequence[Row]) -> None:
-    """Measured over published, with the errors that are allowed."""
+    """Measured divided by published values, with the allowed errors."""
     keys = list(RING_MEASURES)
     names = list(dict.fromkeys(row["filter"] for row in rows))
     ax.axvline(1.0, color="black", linewidth=0.8, zorder=0)
@@ -708,13 +708,13 @@ def draw_ring(ax: Axes, rows: Sequence[Row]) -> None:
 
 
 def draw_standing(ax: Axes, rows: Sequence[Row]) -> None:
-    """Claimed against initial deviation, both on logarithmic axes."""
+    """Claimed deviation over the initial one, both on logarithmic axes."""
     ekf = style("ekf")
     own = [row for row in rows if row["order"] == ORDERS[0]]
     sigma = np.array([row["sigma_0_deg"] for row in own])
     claimed = np.array([row["claimed_deg"]["value"] for row in own])
     spread = np.array([row["spread_deg"] for row in own])
-    for name, size in zip(JUDGED, (11, 8, 5), strict=True):  # they coincide: one inside the other
+    for name, size in zip(JUDGED, (11, 8, 5), strict=True):  # they coincide, so draw one inside the other
         look = style(name)
         ax.plot(
             sigma, [row["kept_deg"][name]["value"] for row in own], color=look.color, linestyle=look.linestyle,
@@ -748,12 +748,12 @@ def main(
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write.")] = Path(__file__).parent / "results",
 ) -> None:
-    """Repeat the experiments and hold every number against the published or the reference value."""
+    """Repeat the experiments and compare every number with the published or reference value."""
     console = Console(highlight=False)
     chosen = only.split(",")
     for letter in chosen:
         if letter not in "ABCD" or len(letter) != 1:
-            raise typer.BadParameter(f"experiment {letter!r}, expected of A, B, C, D")
+            raise typer.BadParameter(f"experiment {letter!r}, expected one of A, B, C, D")
     facts: Row = {"machine": machine(), "seed": seed, "jobs": jobs, "failed_or_diverged": []}
     plain: Row = {"soft_wrap": True, "markup": False}
     console.print(sentence(facts["machine"]), **plain)

@@ -1,19 +1,19 @@
-"""Every filter over every robot of the MRCLAM sets 1, 2, 3 and 6, with the library's defaults and nothing tuned.
+"""Run every filter over every robot of the MRCLAM sets 1, 2, 3 and 6, with default parameters.
 
     python benchmarks/mrclam.py [--filters ekf,fej] [--sets 1,6] [--data DIR] [--jobs J] [--out DIR]
 
-Two heading NEES are given (1 degree of freedom: a consistent filter's median is 0.455). One is in the frame that the
-filter claims to know, that of its start, where the truth reaches back to it. The other is under the alignment of the
-whole trajectory, as every other error; the fit takes out what a filter has wrongly learnt about its frame.
+There are two heading NEES, with 1 degree of freedom each; the median of a consistent filter is 0.455. The first is in
+the frame of the start, which the filter claims to know. It is missing if the truth begins later. The second is after
+alignment of the whole trajectory, like all other errors; the alignment removes the error of the filter's frame.
 
-Writes mrclam.json and mrclam.md. The data is not part of the project: `slamkit fetch mrclam 1` downloads a set.
+The script writes mrclam.json and mrclam.md. `slamkit fetch mrclam 1` downloads a set.
 """
 
 from __future__ import annotations
 
 import os
 
-# One thread for each process: the libraries under NumPy and SciPy read these once, when they are loaded.
+# One thread for each process. The libraries of NumPy and SciPy read these variables once, when they are loaded.
 os.environ.update(
     dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1")
 )
@@ -28,26 +28,23 @@ import numpy as np
 import typer
 from _machine import machine, sentence
 from joblib import Parallel, delayed
-from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 from slamkit import Log, SlamkitError
+from slamkit.arrays import Array
 from slamkit.datasets import mrclam
-from slamkit.evaluate.consistency import heading_nees
+from slamkit.evaluate import dead_reckoning, evaluate, heading_nees, nearest
 from slamkit.evaluate.run_report import Assessment, write_json
-from slamkit.evaluate.trajectory import dead_reckoning, evaluate, nearest
 from slamkit.filters import FILTERS
 from slamkit.logs import History
 
-Array = NDArray[np.float64]
-
-NEED_TRUTH = {"ideal"}  # filters that linearise at the truth, which no real robot has
-MAX_GAP = 0.1  # [s] between a pose and its truth
-FINEST = 1e-3  # [rad]; the true headings are no better, so where less is claimed NEES would judge the truth
-COLUMNS = {  # of a run: name in the JSON → heading of the tables, digits after the point
+NEED_TRUTH = {"ideal"}  # filters that linearise at the truth, which a real robot does not have
+MAX_GAP = 0.1  # [s]; largest time between a pose and its truth
+FINEST = 1e-3  # [rad]; accuracy of the true headings; below it NEES would measure the truth and not the filter
+COLUMNS = {  # name in the JSON → heading in the tables, digits after the decimal point
     "ate_m": ("ATE [m]", 3),
     "dead_reckoning_ate_m": ("dead reck. [m]", 2),
     "landmark_rmse_m": ("land- marks [m]", 3),
@@ -60,13 +57,13 @@ COLUMNS = {  # of a run: name in the JSON → heading of the tables, digits afte
 
 
 def data_folder() -> Path:
-    """Where the sets are looked for: mrclam/ in the folder that SLAMKIT_DATA names, or in that of shared data."""
+    """Default folder of the sets: mrclam/ in the folder named by SLAMKIT_DATA, or in ../shared/data."""
     named = os.environ.get("SLAMKIT_DATA")
     return (Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "data") / "mrclam"
 
 
 def find(folder: Path, sets: Sequence[int]) -> dict[int, Path]:
-    """The zip or the folder of each set that is there."""
+    """The zip or folder of each set that exists."""
     entries = sorted(folder.iterdir()) if folder.is_dir() else []
     numbers = {entry: re.search(r"MR[A-Z]?LAM\D*([1-9])(?!\d)", entry.name, re.IGNORECASE) for entry in entries}
     there = {int(match[1]): entry for entry, match in numbers.items() if match}
@@ -74,7 +71,7 @@ def find(folder: Path, sets: Sequence[int]) -> dict[int, Path]:
 
 
 def runs(number: int, path: Path, robot: int, filters: Sequence[str]) -> list[dict[str, Any]]:
-    """Every filter over one robot's log; a filter that fails is recorded with its reason."""
+    """Run every filter over the log of one robot. A filter that fails is recorded with the reason."""
     data = mrclam.read(path, robot)
     motion, sensor = mrclam.models()
     reckoning = dead_reckoning(data.log, motion)
@@ -83,7 +80,7 @@ def runs(number: int, path: Path, robot: int, filters: Sequence[str]) -> list[di
     for name in filters:
         result: dict[str, Any] = {"set": number, "robot": robot, "truth": data.truth_kind, "filter": name}
         try:
-            FILTERS[name](motion, sensor, gate=mrclam.GATE).run(beginning(data.log))  # loads its compiled code
+            FILTERS[name](motion, sensor, gate=mrclam.GATE).run(beginning(data.log))  # load the compiled code
             history = FILTERS[name](motion, sensor, gate=mrclam.GATE).run(data.log)
         except SlamkitError as error:
             results.append({**result, "error": str(error)})
@@ -105,7 +102,7 @@ def runs(number: int, path: Path, robot: int, filters: Sequence[str]) -> list[di
 
 
 def beginning(log: Log) -> Log:
-    """A log of one command and one sighting."""
+    """A log with the first control and the first sighting."""
     return Log(
         control_times=np.array([0.0]),
         controls=log.controls[:1],
@@ -117,7 +114,7 @@ def beginning(log: Log) -> Log:
 
 
 def in_frame_of_start(history: History, log: Log) -> float | None:
-    """Median heading NEES of the motion since the first true pose; every filter starts with P₀ = 0."""
+    """Median heading NEES of the motion since the first true pose. Every filter starts with P₀ = 0."""
     assert log.truth is not None
     rows, truth_rows = nearest(history.times, log.truth.times, MAX_GAP)
     if len(rows) == 0:
@@ -127,7 +124,7 @@ def in_frame_of_start(history: History, log: Log) -> float | None:
 
 
 def median_nees(history: History, log: Log, poses: Array) -> float | None:
-    """Median of the heading NEES over the matched steps at which the filter claims no more than the truth knows."""
+    """Median heading NEES over the matched steps where the claimed deviation exceeds the accuracy of the truth."""
     assert log.truth is not None
     rows, truth_rows = nearest(history.times, log.truth.times, MAX_GAP)
     kept = history.pose_covariances[rows, 2, 2] > FINEST**2
@@ -142,12 +139,12 @@ def median_nees(history: History, log: Log, poses: Array) -> float | None:
 
 
 def text(value: float | None, digits: int) -> str:
-    """A number of a table."""
+    """A number in a table."""
     return "–" if value is None else f"{value:.{digits}f}"
 
 
 def over_robots(key: str, values: Sequence[float | None], digits: int) -> str:
-    """Mean over the robots; of NEES the median and the worst, for one robot can carry a mean; the sum of rejections."""
+    """Mean over the robots. For rejections the sum, for NEES median and worst: one robot can dominate its mean."""
     numbers = [value for value in values if value is not None]
     if not numbers:
         return "–"
@@ -158,7 +155,7 @@ def over_robots(key: str, values: Sequence[float | None], digits: int) -> str:
 
 
 def family_rows(results: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
-    """One row a set and filter."""
+    """One row for each set and filter."""
     rows = []
     for number in dict.fromkeys(result["set"] for result in results):
         for name in dict.fromkeys(result["filter"] for result in results):
@@ -170,7 +167,7 @@ def family_rows(results: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
 
 
 def robot_rows(results: Sequence[dict[str, Any]], name: str) -> list[tuple[str, ...]]:
-    """One row a robot, for one filter."""
+    """One row for each robot, for one filter."""
     return [
         (
             str(r["set"]),
@@ -190,7 +187,7 @@ HEADINGS = tuple(heading.replace("- ", "") for heading, _ in COLUMNS.values())
 
 
 def markdown(facts: dict[str, Any], results: Sequence[dict[str, Any]], jobs: int) -> str:
-    """Both tables for the README, and every failure in words."""
+    """The tables as Markdown, and every failure with its reason."""
 
     def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> list[str]:
         align = [":--" if column < left else "--:" for column in range(len(header))]
@@ -218,11 +215,11 @@ def markdown(facts: dict[str, Any], results: Sequence[dict[str, Any]], jobs: int
 
 
 def numbers(option: str) -> list[int]:
-    """The set numbers of an option."""
+    """The numbers in an option."""
     try:
         return [int(part) for part in option.split(",")]
     except ValueError:
-        raise typer.BadParameter(f"{option!r}, expected numbers of sets between commas") from None
+        raise typer.BadParameter(f"{option!r}, expected the numbers of sets separated by commas") from None
 
 
 def main(

@@ -1,12 +1,13 @@
-"""From 3 to 10,000 landmarks: the time and the memory of slamkit beside other people's filters.
+"""Time and memory of slamkit and of other filters, from 3 to 10,000 landmarks.
 
     python benchmarks/scaling.py [--sizes 10,100] [--quick] [--no-random] [--keep] [--out DIR]
 
-A step is 1 prediction and 8 range-bearing sightings of mapped landmarks. Every contender has a process of its own and
-one thread; they take turns, so that whatever else the machine does meets all of them, and each has to agree with
-slamkit before it is timed. A plain C++ filter is the measure of all; it needs g++. MRPT (on Debian apt install
-libmrpt-slam-dev) and GTSAM (pip install --editable '.[bench]') take part where they are there; the report says who did
-not, and why. Writes scaling.json, scaling.md and scaling.png.
+A step is 1 prediction and 8 range-bearing sightings of mapped landmarks. Every contender has a process of its own with
+one thread. The contenders take turns, so that other load on the machine affects all of them, and each must agree with
+slamkit before it is timed. Times are compared with those of a plain C++ filter, which needs g++. MRPT (on Debian: apt
+install libmrpt-slam-dev) and GTSAM (pip install --editable '.[bench]') are included if they are installed. The report
+lists the contenders that did not take part, with the reason. The script writes scaling.json, scaling.md and
+scaling.png.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 from slamkit.evaluate.run_report import write_json
-from slamkit.plots import STYLES, Style, save, style
+from slamkit.plots import STYLES, Style, save
 from slamkit.se2 import wrap
 
 SIZES = (3, 10, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
@@ -48,8 +49,8 @@ FLOOR_KEYS = {
     "triangle_pass_seconds": "one pass over the triangle",
     "dsyrk_seconds": "8 D² multiply-adds",
 }
-FLOORS_FROM = 100  # landmarks; on smaller maps it is the call that takes the time
-#: Contenders that are not measured at every size: those of other people stop where a step takes about a second.
+FLOORS_FROM = 100  # landmarks; on smaller maps the call itself takes most of the time
+#: Contenders that are measured only at some sizes. Those of others stop where a step takes about a second.
 ONLY = {
     READ: (500, 1000, 2000),
     HOLD: (500, 1000, 2000),
@@ -60,36 +61,37 @@ ONLY = {
     "NumPy, textbook": range(501),
     FILTERPY: range(501),
 }
-#: Why others differ from slamkit; what is not here differs by rounding.
+#: Why other filters differ from slamkit. Those not listed differ by rounding.
 WHY = {
     "MRPT": "which takes the Jacobians of all sightings of a step before it corrects by any, and the residual of a "
     "bearing before it corrects by the range, and keeps measurements in single precision",
     "iSAM2": "a smoother, which linearises the past anew, leaves small corrections aside, and needs a millimetre of "
     "noise on each motion",
 }
-RANDOM = (PEER, RUN, STEP)  # these do the random workload too
+RANDOM = (PEER, RUN, STEP)  # contenders of the random workload
 WORST = (STEP, SPREAD)
 PEAKS = (1000, 2000, 5000, 10000)
-AGED = "iSAM2", 100, 2000  # whose time is taken again, on a map of how many landmarks, after how many steps
-LARGE = 1e9  # [bytes]; where P is larger, no more than two contenders are in memory at once
+AGED = "iSAM2", 100, 2000  # contender, landmarks, and steps after which its time is measured again
+LARGE = 1e9  # [bytes]; if P is larger, at most two contenders with a P are in memory at once
 
-# What is aimed at: landmarks → time of `run`, in times of the C++ filter's.
+# Targets: landmarks → time of `run` divided by that of the C++ filter.
 RATIOS = {10: 1.5, 50: 1.2, 100: 0.9, 200: 0.35, 500: 0.10, 1000: 0.04, 2000: 0.02, 5000: 0.01}
 STEP_ABOVE_RUN = 10, 4e-6  # landmarks, [s]
-FASTER = {10: 10.0, 100: 100.0}  # landmarks → how many times faster than filterpy's a step called from Python is
+FASTER = {10: 10.0, 100: 100.0}  # landmarks → speed of a step called from Python, relative to filterpy
 MEAN_STEP = 10000, 6e-3  # landmarks, [s]
 WORST_STEP = 10000, 50e-3  # landmarks, [s], with the spread flush
-PEAK = 10000, 1.15  # landmarks, in sizes of P
-READING = 500, 1.3  # landmarks from which on, in times of the 8 D² multiply-adds
+PEAK = 10000, 1.15  # landmarks, multiple of the size of P
+READING = 500, 1.3  # least number of landmarks, multiple of the time of the 8 D² multiply-adds
 
 
 # -- measuring --------------------------------------------------------------------------------------------------------
 
 
 def entries_to_compare(work: Work, steps: int) -> IntArray:
-    """Entries of the state whose joint covariance is compared: all, or on a large map those of some landmarks.
+    """Entries of the state whose joint covariance is compared.
 
-    Those are what the last steps have seen and a sample of the whole map.
+    On a small map these are all entries. On a large one they are those of the pose, of the landmarks seen in the last
+    steps, and of a sample of all landmarks.
     """
     if work.landmarks <= 500:
         return np.arange(work.dim)
@@ -100,7 +102,7 @@ def entries_to_compare(work: Work, steps: int) -> IntArray:
 
 
 def disagreement(belief: tuple[Array, Array], other: tuple[Array, Array], entries: IntArray) -> float:
-    """Largest difference of two beliefs: of the state in standard deviations, of the covariance as of correlations."""
+    """Largest difference of two beliefs: of the states in standard deviations, of the covariances as correlations."""
     (x, block), (other_x, other_block) = belief, other
     sigma = np.sqrt(np.diag(block))
     dx = other_x - x
@@ -109,16 +111,16 @@ def disagreement(belief: tuple[Array, Array], other: tuple[Array, Array], entrie
 
 
 def is_other(name: str) -> bool:
-    """Whether a filter is other people's, not slamkit's nor the C++ filter of this folder."""
+    """Whether a contender is neither slamkit nor the C++ filter of this folder."""
     return name in CONTENDERS and name != PEER and not name.startswith("slamkit")
 
 
 class Field:
-    """The contenders in their processes, and what is known of them."""
+    """The contenders with their processes, and those that no longer take part."""
 
     def __init__(self) -> None:
         self.workers: dict[str, Worker] = {}
-        self.out: dict[str, str] = {}  # who takes no part any more, and why
+        self.out: dict[str, str] = {}  # contender that no longer takes part → reason
 
     def worker(self, name: str) -> Worker:
         """The process of a contender."""
@@ -127,7 +129,7 @@ class Field:
         return self.workers[name]
 
     def ask(self, name: str, method: Any, *arguments: Any) -> Any:
-        """Have a contender do something; one of other people's that cannot is out, with the reason, and gives None."""
+        """Call a method of a contender. If another person's filter fails, it takes no further part: returns None."""
         try:
             return self.worker(name)(method, *arguments)
         except MissingError as missing:
@@ -139,12 +141,12 @@ class Field:
         return None
 
     def leave(self, name: str, why: str) -> None:
-        """End a contender's part and its process, which may hang or hold much memory."""
+        """Remove a contender and end its process, which may hang or use much memory."""
         self.out[name] = why
         self.workers.pop(name).close()
 
     def willing(self, landmarks: int, names: Iterable[str]) -> list[str]:
-        """Who of them takes part in maps of this size."""
+        """Those of the contenders that take part in maps of this size."""
         return [n for n in names if n not in self.out and landmarks in ONLY.get(n, (landmarks,))]
 
     def close(self) -> None:
@@ -155,17 +157,17 @@ class Field:
 
 @dataclass
 class Times:
-    """What is measured of one contender on one map."""
+    """Measurements of one contender on one map."""
 
-    steps: int  # a sample
-    seconds: list[float]  # a step, in each round
-    peer: list[float]  # the same of the peer in these rounds
-    filterpy: list[float]  # and of filterpy
-    checked: dict[str, float]  # disagreement with slamkit, by the number of steps after which it was looked for
+    steps: int  # steps of a sample
+    seconds: list[float]  # time of a step in each round [s]
+    peer: list[float]  # time of a step of the peer in the same rounds [s]
+    filterpy: list[float]  # time of a step of filterpy in the same rounds [s]
+    checked: dict[str, float]  # number of steps → disagreement with slamkit after them
 
 
 def group_times(field: Field, work: Work, names: Sequence[str], rounds: int) -> tuple[dict[str, Times], list[Any]]:
-    """Check and time some contenders in turns; what the floors took in each round, where they are among them."""
+    """Check some contenders and time them in turns. Returns their times, and those of the floors in each round."""
     for name in names:
         field.ask(name, "make", *((Floors, work.dim) if name == FLOORS else (Track, name, work)))
     checked = check(field, work, [name for name in names if name != FLOORS])
@@ -191,23 +193,24 @@ def group_times(field: Field, work: Work, names: Sequence[str], rounds: int) -> 
 
 
 def check(field: Field, work: Work, names: Sequence[str]) -> dict[str, dict[str, float]]:
-    """How far each contender is from the first of slamkit's; who is farther than it may be takes no part.
+    """Disagreement of each contender with the first of slamkit's. One that exceeds its tolerance takes no further part.
 
-    After few steps, which all can take, and after many, which only those take that are quick: they meet flushes and
-    have come to other places. Where it is slamkit's own or the C++ filter that is too far, the benchmark ends.
+    All contenders are compared after a few steps. slamkit and the C++ filter are fast enough to be compared after many
+    steps as well, which include flushes and reach other places; if one of these exceeds its tolerance, the benchmark
+    ends.
     """
     here = [name for name in names if name not in field.out]
     checked: dict[str, dict[str, float]] = {name: {} for name in here}
     reference = next((name for name in here if name.startswith("slamkit")), None)
     if reference is None:
-        return {}  # what cannot be checked is not timed
+        return {}  # a contender that cannot be checked is not timed
     few, many = (WINDOW, 2000) if work.landmarks <= 200 else (3, max(3, min(2000, int(4e8 / work.dim**2))))
     before = field.ask(reference, "belief", 0, np.arange(3))[0]
     for steps in (few, many):
         entries = entries_to_compare(work, steps)
         belief = field.ask(reference, "belief", steps, entries)
         if np.allclose(before[:2], belief[0][:2], rtol=0.0, atol=1e-3):
-            raise SystemExit(f"N = {work.landmarks}: {reference} did not move: that others agree says nothing")
+            raise SystemExit(f"N = {work.landmarks}: {reference} did not move, so agreement with it shows nothing")
         for name in here:
             if name == reference or name in field.out or (steps > few and is_other(name)):
                 continue
@@ -226,13 +229,13 @@ def check(field: Field, work: Work, names: Sequence[str]) -> dict[str, dict[str,
 
 
 def measure(field: Field, landmarks: int, rounds: int, scattered: bool) -> dict[str, Any]:
-    """Everything about the time of one size of map."""
+    """Measure the times of all contenders on one size of map."""
     work = make_work(landmarks, np.random.default_rng(landmarks), scattered=scattered)
     names = field.willing(landmarks, RANDOM if scattered else CONTENDERS)
     if 8 * work.dim**2 <= LARGE:
         groups = [[*names, FLOORS] if landmarks >= FLOORS_FROM else names]
     else:
-        smoothers = [name for name in names if is_other(name)]  # they have no P
+        smoothers = [name for name in names if is_other(name)]  # these have no P
         ours = [[name] for name in names if name.startswith("slamkit")]
         groups = [[PEER, *ours[0], *smoothers], *([PEER, *name] for name in ours[1:]), [FLOORS]]
     times: dict[str, Times] = {}
@@ -260,7 +263,7 @@ def measure(field: Field, landmarks: int, rounds: int, scattered: bool) -> dict[
                 "steps_a_sample": entry.steps,
                 "disagreement": entry.checked,
                 "seconds_a_step": quartiles(np.array(entry.seconds)),
-                # Paired by round: what slows the machine down for a while slows both.
+                # Paired by round, because other load on the machine slows both.
                 "ratio": quartiles(np.array(entry.seconds) / entry.peer) if entry.peer and name != PEER else None,
                 "times_faster_than_filterpy": quartiles(np.array(entry.filterpy) / entry.seconds)
                 if entry.filterpy and name.startswith("slamkit")
@@ -282,7 +285,7 @@ def measure(field: Field, landmarks: int, rounds: int, scattered: bool) -> dict[
 
 
 def worst(field: Field, work: Work, name: str, repeats: int) -> dict[str, Any]:
-    """Slowest step of the whole drive: a flush may come after more steps than a sample has."""
+    """Slowest step of the whole drive. A flush may come after more steps than a sample has."""
     field.ask(name, "make", Track, name, work)
     slowest = float(field.ask(name, "worst", work.steps - work.survey, repeats).max())
     field.ask(name, "drop")
@@ -290,7 +293,7 @@ def worst(field: Field, work: Work, name: str, repeats: int) -> dict[str, Any]:
 
 
 def peaks(field: Field, sizes: Sequence[int]) -> list[dict[str, Any]]:
-    """Memory of whole runs, survey included, each in a process of its own that has run on a small map before."""
+    """Peak memory of whole runs with their survey. Each has a process of its own that first runs on a small map."""
     found: list[dict[str, Any]] = []
     small = make_work(100, np.random.default_rng(100), drive=200)
     for landmarks in sizes:
@@ -319,25 +322,25 @@ def peaks(field: Field, sizes: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def duration(seconds: float) -> str:
-    """A time in the unit that suits it."""
+    """A time with a suitable unit."""
     unit, scale = ("µs", 1e6) if seconds < 1e-3 else ("ms", 1e3) if seconds < 1 else ("s", 1.0)
     return f"{three_digits(scale * seconds)} {unit}"
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """A table of Markdown, the first column and all others to the right."""
+    """A Markdown table with all columns right-aligned."""
     lines = [f"| {' | '.join(header)} |", "|" + "--:|" * len(header)]
     return [*lines, *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
 def of(result: dict[str, Any], name: str, key: str) -> float | None:
-    """Median of what was measured of a contender, None where it was not."""
+    """Median of a measurement of a contender, or None if it was not measured."""
     entry = result["contenders"].get(name)
     return None if entry is None or entry[key] is None else float(entry[key]["median"])
 
 
 def time_rows(results: Sequence[dict[str, Any]], names: Sequence[str]) -> Iterable[list[str]]:
-    """Median time of a step: one row a size, one column a contender, and the two floors."""
+    """Median time of a step: one row for each size, one column for each contender and floor."""
     for result in results:
         times = [of(result, name, "seconds_a_step") for name in names]
         floors = [result["floors"] and result["floors"][key]["median"] for key in FLOOR_KEYS]
@@ -345,7 +348,7 @@ def time_rows(results: Sequence[dict[str, Any]], names: Sequence[str]) -> Iterab
 
 
 def ratio_rows(results: Sequence[dict[str, Any]], names: Sequence[str]) -> Iterable[list[str]]:
-    """Paired ratio to the C++ filter with its quartiles: one row a size, one column a contender."""
+    """Paired ratio to the C++ filter with quartiles: one row for each size, one column for each contender."""
     for result in results:
         entries = [result["contenders"].get(name) for name in names]
         yield [
@@ -355,7 +358,7 @@ def ratio_rows(results: Sequence[dict[str, Any]], names: Sequence[str]) -> Itera
 
 
 def worst_rows(results: Sequence[dict[str, Any]]) -> Iterable[list[str]]:
-    """Slowest step and mean of the drive, with either rule of flushing."""
+    """Mean and slowest step of the drive, for both rules of flushing."""
     for result in results:
         row = [str(result["landmarks"])]
         for name in WORST:
@@ -368,7 +371,7 @@ def worst_rows(results: Sequence[dict[str, Any]]) -> Iterable[list[str]]:
 
 
 def verdicts(drive: Sequence[dict[str, Any]], memory: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What was aimed at and what came out, for the sizes that were measured."""
+    """Targets and results for the sizes that were measured."""
     at = {result["landmarks"]: result for result in drive}
     found: list[dict[str, Any]] = []
 
@@ -424,7 +427,7 @@ def verdicts(drive: Sequence[dict[str, Any]], memory: Sequence[dict[str, Any]]) 
 
 
 def differences(results: Sequence[dict[str, Any]]) -> list[str]:
-    """How far the contenders were from slamkit, how far they may be, and why, as lines of a list."""
+    """Largest disagreements with slamkit, their tolerances and reasons, as lines of a list."""
     largest: dict[str, tuple[float, float]] = {}
     for result in results:
         for name, entry in result["contenders"].items():
@@ -439,7 +442,7 @@ def differences(results: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def kept(report: dict[str, Any]) -> str:
-    """What of the report is from an earlier run, in words."""
+    """A sentence that names the results of an earlier run."""
     parts = [
         f"{workload} on {', '.join(sizes)} landmarks"
         for workload in ("drive", "random")
@@ -449,7 +452,7 @@ def kept(report: dict[str, Any]) -> str:
 
 
 def markdown(facts: dict[str, Any], report: dict[str, Any]) -> str:
-    """The tables."""
+    """The report: all tables with explanations."""
     drive, scattered, memory = report["drive"], report["random"], report["memory"]
     names = [name for name in CONTENDERS if any(name in result["contenders"] for result in drive)]
     floors = list(FLOOR_KEYS.values())
@@ -525,12 +528,12 @@ LOOKS: dict[str, Style] = {
     "iSAM2": Style(f"iSAM2, first {WINDOW} steps", "#777777", (), "x"),
     "iSAM2 + covariance": Style("iSAM2 + joint covariance", "#777777", (5.0, 1.5, 1.0, 1.5), "*"),
     "NumPy, textbook": Style("NumPy, textbook", "#888888", (1.0, 1.4), "p"),
-    "filterpy, dense": style("filterpy, dense"),
+    "filterpy, dense": Style("filterpy, dense", "#444444", (4.0, 2.0), "h"),
 }
 
 
 def draw(results: Sequence[dict[str, Any]], path: Path) -> None:
-    """Time of a step against the number of landmarks; a band joins the quartiles, the floors are dashed."""
+    """Draw the time of a step over the number of landmarks. Bands show the quartiles; the floors are dashed."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.6, 4.4), layout="constrained")
@@ -627,7 +630,7 @@ def main(
 def write(
     out: Path, facts: dict[str, Any], field: Field, results: dict[bool, list[dict[str, Any]]], memory: list[Any]
 ) -> dict[str, Any]:
-    """Write what is known by now, and return it: the larger maps take long, and who interrupts loses nothing."""
+    """Write all results so far, and return them. Large maps take long: an interruption loses no finished result."""
     report: dict[str, Any] = {"drive": results[False], "random": results[True], "memory": memory, "out": field.out}
     report["targets"] = verdicts(results[False], memory)
     write_json(out / "scaling.json", {"machine": facts, **report})
@@ -637,7 +640,7 @@ def write(
 
 
 def show(console: Console, result: dict[str, Any]) -> None:
-    """One size of map on the terminal."""
+    """Print the results for one size of map."""
     title = f"{result['landmarks']} landmarks, {result['workload']}"
     columns = Table(title=title, title_justify="left")
     columns.add_column("filter")

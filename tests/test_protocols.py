@@ -95,14 +95,14 @@ def test_a_plain_function_where_a_compiled_one_is_due_is_refused(function: str) 
 
 
 @pytest.mark.parametrize("function", [*SensorFunctions._fields])
-@pytest.mark.parametrize("wrong", [plain, SENSOR.predict, 3], ids=str)
+@pytest.mark.parametrize("wrong", [plain, SENSOR.predict, 3], ids=["plain function", "method", "number"])
 def test_what_a_sensor_cannot_have_compiled_is_refused(function: str, wrong: Any) -> None:
     model = changed(SENSOR, functions=RangeBearing.functions._replace(**{function: wrong}))
     with pytest.raises(ModelError, match=rf"whose functions\.{function} is .*, expected one decorated with"):
         require_model(model, SensorModel, "sensor")
 
 
-@pytest.mark.parametrize("functions", [(), (plain,), object()], ids=str)
+@pytest.mark.parametrize("functions", [(), (plain,), object()], ids=["empty", "one plain function", "object"])
 def test_functions_that_lack_one_are_refused(functions: Any) -> None:
     with pytest.raises(ModelError, match=r"whose functions\.predict is missing, expected one decorated with"):
         require_model(changed(SENSOR, functions=functions), SensorModel, "sensor")

@@ -1,4 +1,4 @@
-"""Laws of the plane's rigid motions."""
+"""Laws of the rigid motions of the plane."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.typing import NDArray
 from scipy.linalg import expm, logm
 
 from slamkit import se2
+from slamkit.arrays import Array
 
-Array = NDArray[np.float64]
 PI = np.pi
 
 angles = st.floats(-1e4, 1e4) | st.sampled_from(
@@ -20,7 +19,7 @@ angles = st.floats(-1e4, 1e4) | st.sampled_from(
 )
 headings = st.floats(-PI, PI, exclude_max=True) | st.sampled_from([-PI, np.nextafter(PI, 0), 1e-12, -1e-12, 1e-300])
 poses = st.builds(lambda x, y, t: np.array([x, y, t]), st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), headings)
-# exp of a small twist, and of one whose heading is close to the seam
+# small twists, and twists whose heading is close to ±π
 twists = st.builds(
     lambda x, y, t: np.array([x, y, t]), st.floats(-50, 50), st.floats(-50, 50), st.floats(-3.14, 3.14) | headings
 )
@@ -46,18 +45,18 @@ def test_wrapped_angle_lies_in_the_half_open_circle_and_is_the_same_angle(angle:
 
 
 @given(headings)
-def test_an_angle_in_range_is_not_touched(angle: float) -> None:
+def test_an_angle_in_range_is_unchanged(angle: float) -> None:
     assert float(se2.wrap(angle)) == angle
     assert se2.wrap_angle(angle) == angle
 
 
 @given(angles)
-def test_compiled_and_vector_wrap_agree_to_the_bit(angle: float) -> None:
+def test_compiled_and_vector_wrap_are_equal(angle: float) -> None:
     assert se2.wrap_angle(angle) == float(se2.wrap(angle))
     assert se2.wrap_angle.plain(angle) == float(se2.wrap(angle))
 
 
-def test_pi_itself_is_minus_pi_and_nan_stays_nan() -> None:
+def test_pi_wraps_to_minus_pi_and_nan_to_nan() -> None:
     assert se2.wrap(PI) == -PI
     assert se2.wrap(np.nextafter(PI, 4)) < 0
     assert se2.wrap(np.nextafter(-PI, -4)) in (-PI, np.nextafter(PI, 0))
@@ -179,7 +178,7 @@ def test_functions_broadcast_over_leading_axes(a: Array, b: Array) -> None:
 
 
 @pytest.mark.parametrize("f", [se2.inverse, se2.exp, se2.log])
-def test_lists_of_whole_numbers_are_taken_and_nothing_is_modified(f: object) -> None:
+def test_lists_of_integers_are_accepted_and_arguments_are_not_modified(f: object) -> None:
     assert callable(f)
     a = np.array([1, 2, 3])
     assert f([1, 2, 3]).dtype == float

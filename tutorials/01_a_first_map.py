@@ -1,25 +1,29 @@
-"""A first map: a simulated robot drives two loops, and EKF-SLAM maps twenty landmarks while it drives."""
+"""A first map: a simulated robot drives two loops while EKF-SLAM maps twenty landmarks."""
 
 # %% [markdown]
 # # 01 · A first map
 #
-# A robot that only counts its own motion gets lost: every step adds a little error, and nothing ever takes it away.
-# A robot that also sights landmarks can do better, even if nobody has told it where they are. It estimates its own
-# pose and the landmarks **together**. That is SLAM, simultaneous localisation and mapping, and this tutorial does it
-# with an extended Kalman filter (EKF).
+# A robot that only counts its own motion gets lost. Every step adds a small error, and nothing removes it. A robot
+# that also sights landmarks can do better, even if it does not know where the landmarks are. It estimates its own pose
+# and the landmarks **together**. This is simultaneous localisation and mapping (SLAM). This tutorial does it with an
+# extended Kalman filter (EKF).
 #
-# It shows how to feed a filter by hand, how to simulate a world, how to run a filter over a log, and how to compare the
-# result with dead reckoning, which is what is left of SLAM when the landmarks are taken away.
+# The tutorial shows how to
+#
+# - call a filter step by step,
+# - simulate a world,
+# - run a filter over a log,
+# - compare the result with dead reckoning, which uses the motion alone and ignores the landmarks.
 #
 # | symbol | shape | meaning |
 # |---|---|---|
-# | x_r = (x, y, θ) | (3,) | pose of the robot [m, m, rad], heading counter-clockwise from the x axis |
+# | x_r = (x, y, θ) | (3,) | pose of the robot [m, m, rad]; the heading is counter-clockwise from the x axis |
 # | l = (l_x, l_y) | (2,) | position of a landmark [m] |
 # | x | (D,), D = 3 + 2N | the state: the pose, then N landmarks |
 # | P | (D, D) | covariance of the state |
 # | u = (v, ω) | (2,) | control: speed [m/s] and turn rate [rad/s] |
-# | z = (r, β) | (2,) | sighting: range [m] and bearing [rad], from the robot's x axis |
-# | R | (2, 2) | covariance of a sighting's noise |
+# | z = (r, β) | (2,) | sighting: range [m] and bearing [rad], measured from the robot's x axis |
+# | R | (2, 2) | covariance of the noise of a sighting |
 
 # %%
 import os
@@ -29,22 +33,22 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slamkit import EKFSLAM, plots, simulate
+from slamkit import EKFSLAM, evaluate, plots, simulate
 from slamkit.evaluate import trajectory
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.simulate import loop_world
 
-FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or Path(__file__).resolve().parent / "figures")
+FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
 
 # %% [markdown]
 # ## Three things a filter does
 #
-# **Predict.** The robot drives. With the motion model f, its Jacobians F = ∂f/∂x_r and G = ∂f/∂u, and the covariance
-# Σ_u of the control's noise,
+# **Predict.** The robot drives. The motion model f has the Jacobians F = ∂f/∂x_r and G = ∂f/∂u, and Σ_u is the
+# covariance of the control noise. The filter computes
 #
 #     x_r ← f(x_r, u, dt)        P_rr ← F P_rr Fᵀ + G Σ_u Gᵀ
 #
-# The uncertainty grows. A model says how much: here 0.1 m/s in speed and 0.05 rad/s in turn rate.
+# The uncertainty grows. The model says by how much: here 0.1 m/s in speed and 0.05 rad/s in turn rate.
 
 # %%
 ekf = EKFSLAM(Unicycle(sigma_v=0.1, sigma_omega=0.05), RangeBearing(sigma_range=0.1, sigma_bearing=0.02))
@@ -52,28 +56,29 @@ ekf.predict(u=(1.0, 0.0), dt=1.0)
 print(f"sd of x after one step of 1 m: {np.sqrt(ekf.pose_covariance[0, 0]):.4f} m")
 
 # %% [markdown]
-# **Start a landmark.** A sighting with an id that the filter has not met puts a new landmark into the state. With
-# g(x_r, z) the place where the landmark must be, G_x = ∂g/∂x_r and G_z = ∂g/∂z,
+# **Start a landmark.** A sighting with an unknown id adds a new landmark to the state. Let g(x_r, z) be the position
+# of the landmark, with G_x = ∂g/∂x_r and G_z = ∂g/∂z. Then
 #
 #     l = g(x_r, z)        P_ll = G_x P_rr G_xᵀ + G_z R G_zᵀ
 #
-# The landmark is uncertain because the sighting is noisy, **and** because the robot does not know where it stands.
+# The landmark is uncertain for two reasons: the sighting is noisy, and the pose of the robot is uncertain.
 
 # %%
 ekf.observe("tree", z=(2.0, 0.0))
 print(f"the tree is started at: {ekf.landmarks['tree'][0]:.3f} m")
 
 # %% [markdown]
-# **Update.** A sighting of a known landmark corrects everything. With the predicted sighting h(x) and H = ∂h/∂x,
+# **Update.** A sighting of a known landmark corrects the whole state. Let h(x) be the predicted sighting and H =
+# ∂h/∂x. Then
 #
 #     y = z − h(x)        S = H P Hᵀ + R        K = P Hᵀ S⁻¹
 #     x ← x + K y         P ← P − K S Kᵀ
 #
-# y is the innovation, what the sighting says that the filter did not know; S is its covariance; K is the gain.
+# y is the innovation: the difference between the sighting and its prediction. S is its covariance. K is the gain.
 #
-# Here the robot drives another metre towards the tree. The tree should then be 1 m away. It is seen at 1.3 m, so the
-# robot has come less far than it believed, or the tree stands farther off: the filter shares the surprise out
-# according to the covariances.
+# Here the robot drives another metre towards the tree. The filter now expects the tree at 1 m, but sights it at 1.3 m.
+# Either the robot has driven less than expected, or the tree is farther away. The filter divides the difference
+# between the two according to their covariances.
 
 # %%
 ekf.predict(u=(1.0, 0.0), dt=1.0)
@@ -88,11 +93,11 @@ print(f"the tree moves on to x: {ekf.landmarks['tree'][0]:.3f} m")
 # %% [markdown]
 # ## A world
 #
-# `loop_world` is a circle of 10 m radius between two rings of landmarks, which the robot sees when they are within
-# 0.5 to 5 m. One loop takes 251 s; we drive two. `simulate` gives a log: what the odometry counted and what the sensor
-# saw, both with noise, and the truth, which no filter gets to see.
+# `loop_world` is a circle of 10 m radius between two rings of landmarks. The robot sights landmarks at a distance of
+# 0.5 to 5 m. One loop takes 251 s, and we drive two loops. `simulate` returns a log with noisy odometry, noisy
+# sightings and the truth. The filters never see the truth.
 #
-# All randomness comes from the generator that you pass in. The same seed gives the same log.
+# All random numbers come from the generator that you pass. The same seed gives the same log.
 
 # %%
 world = loop_world("range-bearing")
@@ -104,19 +109,19 @@ print(f"sightings in the log: {len(log.observations)}")
 # %% [markdown]
 # ## Dead reckoning, then SLAM
 #
-# Dead reckoning is the prediction alone. EKF-SLAM gets the same controls, and the sightings on top.
+# Dead reckoning is the prediction alone. EKF-SLAM gets the same controls and also the sightings.
 #
-# Both start at the true pose: in SLAM the start *defines* the frame of the map. A filter is used once; make a new one
-# for every run.
+# Both start at the true pose, because in SLAM the start *defines* the frame of the map. A filter object holds the
+# state of one run. Make a new one for every run.
 
 # %%
-times, dead_reckoning = trajectory.dead_reckoning(log, world.motion)
+times, dead_reckoning = evaluate.dead_reckoning(log, world.motion)
 ekf = EKFSLAM(world.motion, world.sensor, pose=world.pose, pose_covariance=world.pose_covariance)
 history = ekf.run(log)
 
 # %% [markdown]
-# The `History` holds what the filter said after every step: poses, covariances, innovations, and the final map.
-# `trajectory.evaluate` compares it with the truth; RMSE is the root mean square error,
+# The `History` holds the result of every step: poses, covariances, innovations and the final map.
+# `trajectory.evaluate` compares it with the truth. RMSE is the root mean square error,
 #
 #     RMSE = √( mean over all steps of |estimated − true position|² )
 
@@ -131,10 +136,10 @@ print(f"EKF-SLAM, landmark RMSE: {slam.landmark_rmse_m:.2f} m")
 # %% [markdown]
 # ## Closing the loop
 #
-# During the first loop every landmark is new, and new landmarks are placed by a robot that is ever less sure of itself.
-# So its uncertainty grows. When it comes back to the first landmarks, which it placed when it still knew where it was,
-# the uncertainty collapses. This is a *loop closure*, and nobody has to program it: the update does it, through the
-# covariances that tie all landmarks together. The next tutorial looks at them.
+# During the first loop every landmark is new. The robot places new landmarks while its own pose becomes less and less
+# certain, so the uncertainty grows. At the end of the loop it sights the first landmarks again. It placed those when
+# its pose was still well known, so the uncertainty drops. This is a *loop closure*. It needs no special code: the
+# update spreads the information through the covariances between all landmarks. The next tutorial looks at them.
 
 # %%
 # The largest eigenvalue of a covariance is the variance in the direction that is known worst.
@@ -147,8 +152,8 @@ print(f"claimed sd of the position after: {spread[closed]:.2f} m")
 # %% [markdown]
 # ## The figure
 #
-# Left, the map. An ellipse holds its landmark, or its pose, with a probability of 95 % — if the filter is right about
-# its own uncertainty. Right, the distance from the truth over time, beside what the filter claims.
+# Left: the map. If the filter is right about its own uncertainty, an ellipse contains its landmark or pose with a
+# probability of 95 %. Right: the distance from the truth over time, with the distance that the filter claims.
 
 # %%
 figure = plt.figure(figsize=(11, 5.4), layout="constrained")
@@ -174,7 +179,8 @@ print("figure:", plots.save(figure, FIGURES / "01_a_first_map.png", dpi=150))
 # %% [markdown]
 # ## Key points
 #
-# - The state holds the pose and the map; one covariance P says how sure the filter is of all of it.
-# - Predicting makes the robot less sure, sighting a known landmark makes it surer, a new landmark extends the state.
-# - Without landmarks the error grows without bound. With them it grows until the loop is closed.
-# - A filter gives an estimate *and* a claim of how good it is. Check both: the later tutorials do.
+# - The state holds the pose and the map. One covariance P describes the uncertainty of all of it.
+# - A prediction makes the pose less certain. A sighting of a known landmark makes it more certain. A new landmark
+#   extends the state.
+# - Without landmarks the error grows without bound. With landmarks it grows until the loop is closed.
+# - A filter gives an estimate *and* a claim about its accuracy. Check both. The later tutorials show how.

@@ -1,17 +1,17 @@
-"""Why the covariance becomes dense: every landmark inherits the robot's error, and what is shared is correlated."""
+"""Why the covariance becomes dense: every landmark shares the robot's error, and shared errors are correlated."""
 
 # %% [markdown]
 # # 02 · The covariance, and why it becomes dense
 #
-# EKF-SLAM keeps one covariance P over the pose and every landmark. One might hope that most of it is zero: what has the
-# first landmark to do with the last one, which was never seen at the same time? This tutorial shows that the opposite
-# is true, that it has to be so, what goes wrong without it, and what it costs.
+# EKF-SLAM keeps one covariance P over the pose and every landmark. You might expect most of it to be zero: the first
+# and the last landmark of a run were never seen at the same time. This tutorial shows that P becomes dense, why it
+# must, what goes wrong if you drop the correlations, and what they cost.
 #
 # | symbol | shape | meaning |
 # |---|---|---|
-# | P | (D, D), D = 3 + 2N | covariance of the pose and N landmarks |
-# | P_rr, P_lr | (3, 3), (2, 3) | blocks of the robot, and of a landmark with the robot |
-# | G_x = ∂g/∂x_r | (2, 3) | how a landmark moves when the pose that placed it moves |
+# | P | (D, D), D = 3 + 2N | covariance of the pose and N landmarks [m², m·rad, rad²] |
+# | P_rr, P_lr | (3, 3), (2, 3) | block of the robot; block of a landmark with the robot |
+# | G_x = ∂g/∂x_r | (2, 3) | how a new landmark moves when the pose that placed it moves |
 # | ρ_ij = P_ij / √(P_ii P_jj) | scalar | correlation of two entries of the state, between −1 and 1 |
 
 # %%
@@ -26,28 +26,27 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, Scan, plots, simulate
-from slamkit.evaluate import consistency
+from slamkit import EKFSLAM, Scan, evaluate, plots, simulate
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.simulate import loop_world
 
-FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or Path(__file__).resolve().parent / "figures")
+FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
 
 # %% [markdown]
 # ## A landmark inherits the robot's error
 #
-# A new landmark is placed from the robot's estimate: l = g(x_r, z). So its covariance with everything that was in the
-# state before, s, is
+# The filter places a new landmark from the estimated pose: l = g(x_r, z). Let s be the state before. The covariance of
+# the landmark with s is
 #
 #     P_ls = G_x P_rs
 #
-# Whatever the robot is correlated with, the landmark is too. If the robot stands 10 cm farther left than it believes,
-# so do all the landmarks that it places. For two landmarks a and b that are placed from one pose, the same rule twice
-# gives
+# Everything that is correlated with the robot becomes correlated with the landmark. If the robot is 10 cm farther left
+# than estimated, so are all the landmarks that it places. For two landmarks a and b placed from one pose, the same
+# rule applied twice gives
 #
 #     P_ab = G_a P_rr G_bᵀ
 #
-# They are correlated at once, though no sighting ever compared them:
+# The two are correlated at once, although no sighting has compared them:
 
 # %%
 motion, sensor = Unicycle(sigma_v=0.1, sigma_omega=0.05), RangeBearing(sigma_range=0.1, sigma_bearing=0.02)
@@ -65,9 +64,9 @@ print(f"correlation of the two landmarks' x: {plots.correlation(ekf.P)[3, 5]:.2f
 # %% [markdown]
 # ## Watching it fill
 #
-# The loop world of the first tutorial, one loop and a bit. After every step we take P apart into correlations: the
-# share of pairs from different blocks with |ρ| > 0.1 says how dense it is, the share with |ρ| > 0.9 how strong the ties
-# are.
+# This is the loop world of tutorial 01, for a little more than one loop. After every step we compute the correlations
+# between entries of different blocks. The share with |ρ| > 0.1 shows how dense P is. The share with |ρ| > 0.9 shows
+# how many of the correlations are strong.
 
 # %%
 world = loop_world("range-bearing")
@@ -89,18 +88,18 @@ print(f"share of |correlation| > 0.1 at the end: {plots.correlation_density(P, 0
 print(f"share of |correlation| > 0.9 at the end: {plots.correlation_density(P, 0.9):.2f}")
 
 # %% [markdown]
-# The strong ties come with the loop closure: one sighting of the first landmark tells the filter how far it has
-# drifted, and the correlations pass the correction on to every landmark that it placed on the way. They are no
-# nuisance, they are the map.
+# The strong correlations appear with the loop closure. A sighting of the first landmark shows the filter how far it
+# has drifted. The correlations pass this correction on to every landmark that the robot placed on the way. They are
+# what holds the map together.
 #
 # ## What goes wrong without them
 #
-# So what if we set the correlations between blocks to zero after every step, and keep what is on the diagonal? It would
-# be cheap. It is also wrong: such a filter takes its own drift, as it comes back from the landmarks, for fresh,
-# independent information, and becomes sure of a wrong answer.
+# Suppose we set the correlations between blocks to zero after every step and keep only the diagonal blocks. That would
+# be cheap, but it is wrong. The landmarks carry the robot's own drift. Without the correlations the filter treats this
+# drift as independent information when it sights them again, and it becomes certain of a wrong answer.
 #
-# The NEES ε = eᵀ P_rr⁻¹ e is the squared error e of the pose in units of what is claimed. Its mean is 3, one for each
-# component, if the claim is right.
+# The NEES ε = eᵀ P_rr⁻¹ e is the squared error e of the pose in units of the claimed covariance. If the claim is
+# right, its mean is 3, one for each component.
 
 # %%
 forgetful = EKFSLAM(world.motion, world.sensor, world.pose, world.pose_covariance)
@@ -116,25 +115,25 @@ for name, f, forget in (("all of P", honest, False), ("blocks only", forgetful, 
             f.P = np.where(block[:, None] == block, f.P, 0.0)
         poses.append(f.pose)
         claims.append(f.pose_covariance)
-    nees = consistency.pose_nees(np.array(poses), np.array(claims), log.truth.poses[1:]).values
+    nees = evaluate.pose_nees(np.array(poses), np.array(claims), log.truth.poses[1:]).values
     error = np.linalg.norm(np.array(poses)[:, :2] - log.truth.poses[1:, :2], axis=1)
     print(f"{name}: position RMSE: {np.sqrt(np.mean(error**2)):.2f} m")
     print(f"{name}: mean NEES: {nees.mean():.1f}")
 
 # %% [markdown]
-# The forgetful filter is not even far off in this run. But it claims an accuracy that it has not got, and whoever
-# relies on the claim (a planner, or a gate that decides which sighting to believe) is led astray.
+# In this run the filter without correlations is not far off. But it claims an accuracy that it does not have. That
+# misleads everything that uses the claim, for example a planner, or a gate that decides which sightings to accept.
 
 # %% [markdown]
 # ## What it costs
 #
-# P has D² entries of 8 bytes. A prediction moves the pose alone, so it touches the pose's rows only: O(D). A sighting
-# changes everything that is correlated with what was seen, and that is everything. How it is computed matters:
+# P has D² entries of 8 bytes. A prediction moves only the pose, so it changes only the pose's rows: O(D). A sighting
+# changes everything that is correlated with the landmark, which is everything. The form of the update matters:
 #
 #     textbook:   P ← (I − K H) P                                a product of D × D matrices, O(D³)
 #     slamkit:    P ← P − wᵀ w,   w = L⁻¹ H P,   S = L Lᵀ        a rank-2 change of one triangle, O(D²) at most
 #
-# The textbook's form below works on P alone, so that it does not even pay for the rest of a filter.
+# The textbook form below works on P alone, so it does not include the other work of a filter step.
 
 
 # %%
@@ -181,9 +180,9 @@ print(f"textbook over slamkit at N = {sizes[-1]}: {slow[-1] / quick[-1]:.0f} tim
 # %% [markdown]
 # ## The figure
 #
-# Above, the correlations at three moments: the pose comes first, then the landmarks in the order in which they were
-# met. The chequered pattern is x against y. Below, the shares over time, and memory and time against the size of the
-# map.
+# Top: the correlations at three moments. The pose comes first, then the landmarks in the order of their first
+# sighting. The checked pattern comes from x and y. Bottom: the shares over time, and memory and time against the size
+# of the map.
 
 # %%
 figure = plt.figure(figsize=(11, 7.4), layout="constrained")
@@ -215,6 +214,8 @@ print("figure:", plots.save(figure, FIGURES / "02_why_the_covariance_becomes_den
 # %% [markdown]
 # ## Key points
 #
-# - A landmark is placed by the robot, so it shares the robot's error: its covariance with all the rest is not zero.
-# - The correlations carry a loop closure back to every landmark. A filter that drops them is sure of a wrong answer.
-# - Memory is O(D²). An update is O(D²) if it is done well, O(D³) if it is not.
+# - The robot places every landmark, so each landmark shares the robot's error. Its covariance with the rest of the
+#   state is not zero.
+# - The correlations carry a loop closure back to every landmark. A filter that drops them becomes certain of a wrong
+#   answer.
+# - Memory is O(D²). A good update is O(D²), the textbook form is O(D³).

@@ -1,20 +1,20 @@
-"""A model of your own: a motion and a sensor model in plain NumPy, checked, plugged in, and then compiled."""
+"""A model of your own: a motion model and a sensor model in plain NumPy, checked, used in filters, then compiled."""
 
 # %% [markdown]
 # # 03 · A model of your own
 #
-# A filter of slamkit takes any object that has the methods of a model. There is nothing to inherit from and nothing to
-# register. This tutorial writes
+# A slamkit filter accepts any object that has the methods of a model. You do not inherit from a base class and you do
+# not register anything. This tutorial writes
 #
-# - a **motion model**: a robot with two driven wheels, whose encoders count how far each wheel has rolled, and
-# - a **sensor model**: bearing and *inverse* range, as from a camera that knows the size of what it sees,
+# - a **motion model** for a robot with two driven wheels, whose encoders measure how far each wheel has rolled,
+# - a **sensor model** with bearing and *inverse* range, such as a camera that knows the size of the landmarks.
 #
-# checks both, runs them in a filter, and then compiles them, with the same answers.
+# It checks both models, runs them in a filter, and then compiles them. The compiled models give the same answers.
 #
 # | symbol | shape | meaning |
 # |---|---|---|
-# | pose = (p, θ) = (x, y, θ) | (3,) | [m, m, rad] |
-# | u = (a, b) | (2,) | way of the left and the right wheel in one step [m] |
+# | pose = (p, θ) = (x, y, θ) | (3,) | pose of the robot [m, m, rad] |
+# | u = (a, b) | (2,) | distance that the left and the right wheel roll in one step [m] |
 # | w | scalar | distance between the wheels [m] |
 # | l | (2,) | position of a landmark [m] |
 # | z = (β, i) | (2,) | bearing [rad] and inverse range [1/m] |
@@ -34,7 +34,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, InvariantEKFSLAM, ModelError, plots, simulate
+from slamkit import EKFSLAM, InvariantEKFSLAM, ModelError, evaluate, plots, simulate
 from slamkit.compiled import compiled
 from slamkit.evaluate import trajectory
 from slamkit.models import check_model
@@ -42,7 +42,7 @@ from slamkit.protocols import MotionFunctions, MotionModel, SensorFunctions, Sen
 from slamkit.se2 import wrap
 from slamkit.simulate import loop_world
 
-FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or Path(__file__).resolve().parent / "figures")
+FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
 Array = NDArray[np.float64]
 
 # %% [markdown]
@@ -53,19 +53,20 @@ Array = NDArray[np.float64]
 #     d = (a + b)/2        φ = (b − a)/w        θ_m = θ + φ/2
 #     p' = p + d (cos θ_m, sin θ_m)             θ' = θ + φ
 #
-# A filter also wants the derivatives. With J = [0 −1; 1 0],
+# A filter also needs the derivatives. With J = [0 −1; 1 0],
 #
 #     F = ∂(p', θ')/∂pose = [I, J(p' − p); 0 1]
 #     G = ∂(p', θ')/∂u,   with ∂d/∂a = ∂d/∂b = 1/2   and   −∂φ/∂a = ∂φ/∂b = 1/w
 #
-# The noise: a wheel that rolls farther slips more, so the variance of each way is k² times its length. `pose_noise` is
-# for what disturbs the pose directly, such as a push; here there is none.
+# `control_noise` is the covariance of u. A wheel that rolls farther slips more, so the variance of each distance is k²
+# times its length. `pose_noise` is for disturbances that act on the pose directly, such as a push. Here there are
+# none.
 
 
 # %%
 @dataclass(frozen=True)
 class TwoWheels:
-    """Two driven wheels `width` [m] apart; `slip` is the standard deviation of a way of one metre [√m]."""
+    """Two driven wheels `width` [m] apart; `slip` is the standard deviation of a distance of one metre [√m]."""
 
     width: float
     slip: float
@@ -79,7 +80,7 @@ class TwoWheels:
         d, phi = (u[0] + u[1]) / 2, (u[1] - u[0]) / self.width
         c, s = np.cos(pose[2] + phi / 2), np.sin(pose[2] + phi / 2)
         F = np.array([[1, 0, -d * s], [0, 1, d * c], [0, 0, 1]])
-        turn = d / (2 * self.width)  # how far the end of the step swings when φ changes
+        turn = d / (2 * self.width)  # how far the end of the step moves sideways when φ changes
         G = np.array(
             [
                 [c / 2 + turn * s, c / 2 - turn * s],
@@ -104,8 +105,8 @@ class TwoWheels:
 #     z = (atan2(Δy, Δx) − θ, 1/r)
 #     ∂z/∂l = [−Δy/r²  Δx/r²; −Δx/r³  −Δy/r³]        ∂z/∂(p, θ) = [−∂z/∂l, (−1, 0)ᵀ]
 #
-# `residual` subtracts two measurements, with the bearing wrapped to [−π, π). `invert` says where a landmark must be
-# that is seen like this: the filter starts new landmarks with it, l = p + (cos(θ + β), sin(θ + β))/i.
+# `residual` subtracts two measurements and wraps the bearing to [−π, π). `invert` returns the position of a landmark
+# with a given sighting: l = p + (cos(θ + β), sin(θ + β))/i. The filter uses it to start new landmarks.
 
 
 # %%
@@ -134,7 +135,7 @@ class SizeCamera:
         return np.array([wrap(z[0] - z_hat[0]), z[1] - z_hat[1]])
 
     def invert(self, pose: Array, z: Array) -> Array:
-        r = 1 / z[1] if z[1] > 0 else np.nan  # no landmark is that far away: the filter refuses a NaN
+        r = 1 / z[1] if z[1] > 0 else np.nan  # no landmark has this sighting: the filter refuses NaN
         return np.array([pose[0] + r * np.cos(pose[2] + z[0]), pose[1] + r * np.sin(pose[2] + z[0])])
 
     def inverse_jacobians(self, pose: Array, z: Array) -> tuple[Array, Array]:
@@ -149,17 +150,17 @@ wheels, camera = TwoWheels(width=0.4, slip=0.02), SizeCamera(sigma_bearing=0.02,
 # %% [markdown]
 # ## Check before you trust
 #
-# `check_model` puts a model through every law that a filter relies on: each Jacobian against a numeric one, at random
-# points and at nasty ones (bearings at ±π, a landmark straight behind, a robot at rest); `predict` of `invert`; angles
-# that wrap; covariances that are covariances. It is silent if all is well.
+# `check_model` tests every law that a filter relies on. It compares each Jacobian with a numeric one, at random points
+# and at difficult ones (bearings at ±π, a landmark straight behind, a robot at rest). It checks that `predict` undoes
+# `invert`, that angles wrap, and that covariances are valid. If everything is right, it prints and raises nothing.
 
 # %%
 check_model(wheels)
 check_model(camera)
 
 # %% [markdown]
-# A wrong sign in a Jacobian crashes nothing. It makes the filter quietly worse, and may take weeks to find. So here is
-# one: somebody thought that turning left moves a landmark to the left.
+# A wrong sign in a Jacobian raises no error. It makes the filter worse without a sign, and it can take weeks to find.
+# Here is an example: this class assumes that a left turn of the robot moves a landmark to the left.
 
 
 # %%
@@ -177,8 +178,8 @@ except ModelError as error:
 # %% [markdown]
 # ## Plug it in
 #
-# The loop world again, driven on two wheels and seen through the camera. The controls are ways, not speeds: each is the
-# whole motion of its step, which is what `increments=True` says.
+# This is the loop world again, with two driven wheels and the camera. The controls are distances and not speeds. Each
+# one is the whole motion of its step; `increments=True` says so.
 
 # %%
 loop = loop_world("range-bearing")
@@ -195,7 +196,7 @@ log = simulate(world, np.random.default_rng(2))
 assert log.truth is not None
 ekf = EKFSLAM(wheels, camera, world.pose, world.pose_covariance)
 history = ekf.run(log)
-dead_reckoning = trajectory.dead_reckoning(log, wheels)
+dead_reckoning = evaluate.dead_reckoning(log, wheels)
 
 slam = trajectory.evaluate(history.times, history.poses, log.truth, ekf.landmarks, aligned=False)
 lost = trajectory.evaluate(*dead_reckoning, log.truth, aligned=False)
@@ -203,7 +204,7 @@ print(f"dead reckoning, position RMSE: {lost.ate_m:.2f} m")
 print(f"EKF-SLAM with our models, position RMSE: {slam.ate_m:.2f} m")
 
 # %% [markdown]
-# Every other filter takes the models too. (Which filter is the better one, a single run cannot tell.)
+# Every other filter accepts the models too. (A single run cannot show which filter is better. See tutorial 06.)
 
 # %%
 other = InvariantEKFSLAM(wheels, camera, world.pose, world.pose_covariance)
@@ -214,11 +215,11 @@ print(f"invariant EKF with our models, position RMSE: {invariant.ate_m:.2f} m")
 # %% [markdown]
 # ## The same, compiled
 #
-# A model in plain Python runs at the speed of Python: it is the models, not the filter, that take the time. Where both
-# models offer their methods as compiled functions too, a whole run compiles.
+# A model in plain Python is slow: most of the time of a step is spent in the models. If both models also offer their
+# methods as compiled functions, slamkit compiles the whole run.
 #
-# Such a function takes the arguments of the method, then the model's numbers `params`, and then the arrays that it
-# fills. It is written in the part of Python that Numba compiles, with loops and numbers in place of array expressions.
+# Such a function takes the arguments of the method, then the parameters `params` of the model, then the arrays that it
+# fills. Write it in the subset of Python that Numba compiles, with loops and scalars instead of array expressions.
 
 
 # %%
@@ -286,11 +287,12 @@ def inverse_jacobians(pose: Any, z: Any, params: Any, G_pose: Any, G_z: Any) -> 
 
 
 # %% [markdown]
-# There are two ways to compile them. Numba's own `njit` needs nothing else, and compiles anew in every process.
-# slamkit's `compiled` is told the types of the arguments, compiles at the first call, and keeps the result on disk.
+# There are two ways to compile these functions. Numba's own `njit` needs nothing else, but it compiles again in every
+# process. slamkit's `compiled` takes the types of the arguments, compiles at the first call, and keeps the result on
+# disk.
 #
-# The class gets two attributes more, `functions` and `params`. Its methods stay as they were: `check_model` compares
-# them with the functions.
+# The class gets two more attributes, `functions` and `params`. Its methods stay the same. `check_model` compares the
+# functions with the methods.
 
 
 # %%
@@ -308,7 +310,7 @@ class NumbaCamera(SizeCamera):
     functions: ClassVar[SensorFunctions] = SensorFunctions(
         *[numba.njit(f) for f in (predict, sensor_jacobians, residual, invert, inverse_jacobians)]
     )
-    params: ClassVar[Array] = np.empty(0)  # R is all that depends on its numbers
+    params: ClassVar[Array] = np.empty(0)  # only R depends on the numbers of this model
 
 
 class CompiledWheels(NumbaWheels):
@@ -340,7 +342,7 @@ for name, (motion, sensor) in pairs.items():
     check_model(motion)
     check_model(sensor)
     spent = []
-    for _ in range(4):  # the first run compiles; the shortest of them counts
+    for _ in range(4):  # the first run compiles; we take the shortest
         f = EKFSLAM(motion, sensor, world.pose, world.pose_covariance)
         before = time.perf_counter()
         again = f.run(log)
@@ -355,6 +357,8 @@ print(f"a step of plain NumPy over a compiled one: {ratio:.0f} times")
 
 # %% [markdown]
 # ## The figure
+#
+# Left: the map. Right: the time of a step with each form of the models.
 
 # %%
 figure = plt.figure(figsize=(10.5, 5.6), layout="constrained")
@@ -373,6 +377,7 @@ print("figure:", plots.save(figure, FIGURES / "03_a_model_of_your_own.png", dpi=
 # %% [markdown]
 # ## Key points
 #
-# - A model is a class with the protocol's methods, in plain NumPy. Every filter takes it.
-# - `check_model` finds the wrong sign before a filter hides it. Run it in the tests of your own project.
-# - Give the class `functions` and `params`, and whole runs compile: the same numbers but for rounding, and faster.
+# - A model is a class with the methods of the protocol, in plain NumPy. Every filter accepts it.
+# - `check_model` finds a wrong sign before a filter hides it. Run it in the tests of your own project.
+# - If the class also has `functions` and `params`, slamkit compiles whole runs. The results agree up to rounding, and
+#   the run is faster.

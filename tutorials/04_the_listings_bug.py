@@ -1,22 +1,23 @@
-"""The listing's bug: two lines in the wrong order make every landmark certain, and the filter diverges."""
+"""The listing's bug: two lines in the wrong order remove the uncertainty of new landmarks, and the filter diverges."""
 
 # %% [markdown]
 # # 04 · The listing's bug
 #
-# A widely copied EKF-SLAM listing puts a new landmark into the covariance in two steps. First it writes the landmark's
-# own block, then it assigns the landmark's whole column and row. The second step **overwrites the block with zeros**:
-# the landmark is taken for exactly known, and yet it is correlated with the rest. No random variable is like that.
+# A widely copied EKF-SLAM listing adds a new landmark to the covariance in two steps. First it writes the landmark's
+# own block. Then it assigns the landmark's whole column and row. The second step **overwrites the block with zeros**.
+# The result says that the landmark is exactly known and yet correlated with the rest of the state. No random variable
+# has such a covariance.
 #
-# This tutorial writes the listing's filter in plain NumPy, once with the bug and once without, shows what the bug does,
-# and shows two checks that catch it, beside slamkit's own filter.
+# This tutorial writes the filter of the listing in plain NumPy, once with the bug and once without. It shows what the
+# bug does, and two checks that find it. slamkit's own filter runs beside them.
 #
 # | symbol | shape | meaning |
 # |---|---|---|
 # | P | (D, D) | covariance of the pose (x, y, θ) [m, m, rad] and the landmarks so far |
-# | P_rr, P_sr | (3, 3), (D, 3) | its block of the pose, and its columns of the pose |
+# | P_rr, P_sr | (3, 3), (D, 3) | block of the pose; columns of the pose |
 # | G_x, G_z | (2, 3), (2, 2) | derivatives of the new landmark by the pose and by the sighting z = (r, β) |
-# | R | (2, 2) | covariance of the sighting's noise |
-# | ε = eᵀ P_rr⁻¹ e | scalar | NEES: the squared error e of the pose in units of what is claimed |
+# | R | (2, 2) | covariance of the noise of a sighting |
+# | ε = eᵀ P_rr⁻¹ e | scalar | NEES: the squared error e of the pose in units of the claimed covariance |
 
 # %%
 import os
@@ -28,13 +29,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slamkit import EKFSLAM, InputError, plots, simulate
+from slamkit import EKFSLAM, InputError, evaluate, plots, simulate
 from slamkit.errors import DivergenceError
-from slamkit.evaluate import consistency
 from slamkit.se2 import wrap
 from slamkit.simulate import lesson_world
 
-FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or Path(__file__).resolve().parent / "figures")
+FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
 Array = NDArray[np.float64]
 
 # %% [markdown]
@@ -44,8 +44,8 @@ Array = NDArray[np.float64]
 #
 #     P_ll = G_x P_rr G_xᵀ + G_z R G_zᵀ        P_sl = P_sr G_xᵀ        P_ls = P_slᵀ
 #
-# Right: each of them once. Wrong: P_ll first, and then the column `[:, D:]` down to the last row. The last two rows of
-# what it reads are still zero, so zero is what it writes over P_ll.
+# The right order writes each block once. The wrong order writes P_ll first and then assigns the column `[:, D:]` down
+# to the last row. It computes the last two rows from entries that are still zero, so it replaces P_ll by zeros.
 
 
 # %%
@@ -56,12 +56,12 @@ def augment_right(P: Array, G_x: Array, P_ll: Array) -> Array:
 
 
 def augment_wrong(P: Array, G_x: Array, P_ll: Array) -> Array:
-    """The listing's order."""
+    """The blocks in the order of the listing."""
     D = len(P)
     bigger = np.zeros((D + 2, D + 2))
     bigger[:D, :D] = P
     bigger[D:, D:] = P_ll
-    bigger[:, D:] = bigger[:, :3] @ G_x.T  # the whole column: P_ll is gone
+    bigger[:, D:] = bigger[:, :3] @ G_x.T  # the whole column: overwrites P_ll
     bigger[D:, :] = bigger[:, D:].T
     return bigger
 
@@ -69,8 +69,8 @@ def augment_wrong(P: Array, G_x: Array, P_ll: Array) -> Array:
 # %% [markdown]
 # ## Around them, the listing's filter
 #
-# Dense matrices, one sighting after the other; everything but the initialisation is right. The models are those of the
-# lesson: a unicycle with noise on the pose, and range and bearing.
+# The matrices are dense, and the filter processes one sighting after the other. Everything except the initialisation
+# is right. The models are a unicycle with noise on the pose, and range and bearing.
 
 # %%
 world = lesson_world()
@@ -116,8 +116,8 @@ class ListingEKF:
 # %% [markdown]
 # ## The first check: P must be positive semidefinite
 #
-# A covariance has no negative eigenvalue, for vᵀ P v is the variance of vᵀ x, whatever v is. One step and one sighting
-# are enough to break that.
+# A covariance has no negative eigenvalue, because vᵀ P v is the variance of vᵀ x for every v. With the bug, one step
+# and one sighting are enough to break this law.
 
 # %%
 right, wrong = ListingEKF(augment_right), ListingEKF(augment_wrong)
@@ -128,7 +128,7 @@ for name, f in (("right", right), ("wrong", wrong)):
         print(f"{name}, smallest eigenvalue of P after landmark {n}: {np.linalg.eigvalsh(f.P)[0]:.2e}")
 
 # %% [markdown]
-# slamkit writes each block once, and it does not let such a matrix in by another way either:
+# slamkit writes each block once. It also refuses such a matrix when you assign it:
 
 # %%
 ekf = EKFSLAM(motion, sensor, world.pose, world.pose_covariance)
@@ -142,8 +142,8 @@ except InputError as error:
 # %% [markdown]
 # ## The demo diverges
 #
-# The lesson's robot drives for three seconds among three landmarks, all of them in sight all the time. We run the demo
-# fifty times with different noise, with the listing's filter, with the same filter put right, and with slamkit's.
+# The robot drives for three seconds among three landmarks that are always in sight. We run this demo fifty times with
+# different noise, with three filters: the listing's, the corrected listing, and slamkit's.
 
 # %%
 RUNS = 50
@@ -185,44 +185,44 @@ apart = np.abs(np.array(poses["right"]) - np.array(poses["slamkit"])).max()
 print(f"largest difference between the listing put right and slamkit: {apart:.1e}")
 
 # %% [markdown]
-# Nothing crashes and nothing warns. After three seconds half of the listing's runs are off by more than half a metre,
-# in a world where the filter that is right stays within a few decimetres. Some jump far away, when an indefinite P
-# makes S = H P Hᵀ + R all but singular.
+# Nothing crashes and nothing warns. After three seconds, half of the listing's runs are off by more than half a metre.
+# The right filter stays within a few decimetres. Some of the wrong runs jump far away: an indefinite P can make S = H
+# P Hᵀ + R almost singular.
 #
 # ## The second check: NEES
 #
-# The NEES compares the error with the claim. If the claim is right, ε is χ² distributed with three degrees of freedom:
-# 3 on the average, below 7.81 in 95 % of all cases, and never negative. It needs the truth, so it is a test for a
-# simulation.
+# The NEES compares the error with the claim. If the claim is right, ε is χ² distributed with three degrees of freedom.
+# Its mean is 3, it is below 7.81 in 95 % of all cases, and it is never negative. The NEES needs the truth, so this
+# check belongs in a simulation.
 
 # %%
 suspicious = {}
 for name in names:
-    e = consistency.state_error(np.array(poses[name]), truth)
+    e = evaluate.state_error(np.array(poses[name]), truth)
     epsilon = np.einsum("rki,rki->rk", e, np.linalg.solve(np.array(claims[name]), e[..., None])[..., 0])
     suspicious[name] = 100 * np.mean((epsilon < 0) | (epsilon > 7.815), axis=0)  # share of the runs, at each step
     print(f"{name}, runs with an impossible or too large NEES at the end: {suspicious[name][-1]:.0f} %")
     print(f"{name}, runs with a negative NEES at some time: {100 * np.mean((epsilon < 0).any(axis=1)):.0f} %")
 
 # %% [markdown]
-# We have written out the formula here, to see the impossible values. slamkit's own function does not return them:
+# Here we compute the formula directly, to see the impossible values. slamkit's own function raises an error instead:
 
 # %%
 try:
-    consistency.pose_nees(np.array(poses["wrong"]), np.array(claims["wrong"]), truth)
+    evaluate.pose_nees(np.array(poses["wrong"]), np.array(claims["wrong"]), truth)
 except DivergenceError as error:
-    print("consistency.pose_nees says:", error)
+    print("evaluate.pose_nees says:", error)
 M = len(truth)
-mean = consistency.pose_nees(np.array(poses["slamkit"]), np.array(claims["slamkit"]), truth).values.mean(axis=0)
-band = consistency.chi2_bounds(3, M)
+mean = evaluate.pose_nees(np.array(poses["slamkit"]), np.array(claims["slamkit"]), truth).values.mean(axis=0)
+band = evaluate.chi2_bounds(3, M)
 print(f"slamkit, mean NEES over {M} runs at the end: {mean[-1]:.2f}")
 print(f"95 % band of that mean: {float(band.lower):.2f} to {float(band.upper):.2f}")
 
 # %% [markdown]
 # ## The figure
 #
-# Left, the first of the fifty runs. Right, all of them: the smallest eigenvalue of P, the error, and the share of runs
-# that the NEES finds suspicious, where 5 % is what a filter that is right must show.
+# Left: the first of the fifty runs. Right: all runs, with the smallest eigenvalue of P, the position error, and the
+# share of runs with a suspicious NEES. A right filter shows a share of 5 %.
 
 # %%
 figure = plt.figure(figsize=(11, 5.8), layout="constrained")
@@ -261,7 +261,7 @@ print("figure:", plots.save(figure, FIGURES / "04_the_listings_bug.png", dpi=150
 # %% [markdown]
 # ## Key points
 #
-# - A new landmark adds three blocks. Write each once; never assign a whole column over a block that is there already.
-# - The bug crashes nothing. It makes P indefinite, and the filter walks away from the truth.
-# - Check the eigenvalues of P in every test: it needs no truth, and finds this bug at the first landmark.
-# - Check the NEES in every simulation: it finds this bug, and every other one that makes a filter too sure of itself.
+# - A new landmark adds three blocks. Write each of them once. Never assign a whole column over an existing block.
+# - The bug raises no error. It makes P indefinite, and the estimate moves away from the truth.
+# - Check the eigenvalues of P in every test. This check needs no truth and finds the bug at the first landmark.
+# - Check the NEES in every simulation. It finds this bug and every other one that makes a filter overconfident.

@@ -1,23 +1,25 @@
-"""A real robot: twenty-five minutes of the UTIAS data set, from the log as it was published to a map."""
+"""A real robot: twenty-five minutes of the UTIAS data set, from the published log to a map."""
 
 # %% [markdown]
 # # 05 · A real robot
 #
-# In the UTIAS multi-robot data set, MRCLAM for short, five small robots drive among fifteen landmarks in a hall, while
-# a motion-capture system records where they are (Leung, Halpern, Barfoot & Liu, The International Journal of Robotics
-# Research 30(8), 2011, 969-974). Nothing in it is simulated. The motion lags the commands by 0.2 s, the robots are
-# slower than commanded, ranges are short by 1 %, barcodes are misread, and the published positions of two landmarks are
-# exchanged. This tutorial reads one robot's log as it is, makes a map of it, and asks how far to trust the result.
+# In the UTIAS multi-robot data set (MRCLAM), five small robots drive among fifteen landmarks in a hall. A
+# motion-capture system records their positions (Leung, Halpern, Barfoot & Liu, The International Journal of Robotics
+# Research 30(8), 2011, 969-974). Nothing is simulated. The motion lags the commands by 0.2 s. The robots are slower
+# than commanded. Ranges are short by 1 %. Some barcodes are misread, and the published positions of two landmarks are
+# exchanged.
 #
-# The data are not part of slamkit. Fetch them with `slamkit fetch mrclam 1 --folder data/mrclam`, and let the variable
-# `SLAMKIT_DATA` name the folder `data`.
+# This tutorial reads the log of one robot, makes a map from it, and shows how far to trust the result.
+#
+# The data are not part of slamkit. Fetch them with `slamkit fetch mrclam 1 --folder data/mrclam`, and set the
+# environment variable `SLAMKIT_DATA` to the folder `data`.
 #
 # | symbol | shape | meaning |
 # |---|---|---|
 # | u = (v, ω) | (2,) | commanded speed [m/s] and turn rate [rad/s], about 67 times a second |
 # | z = (r, β) | (2,) | range [m] and bearing [rad] of a landmark |
 # | y, S | (2,), (2, 2) | innovation z − ẑ, and the covariance that the filter claims for it |
-# | T | (3,) | rigid motion that lays the estimated trajectory onto the true one [m, m, rad] |
+# | T | (3,) | rigid motion that aligns the estimated trajectory with the true one [m, m, rad] |
 
 # %%
 import os
@@ -26,24 +28,23 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slamkit import EKFSLAM, plots, se2
+from slamkit import EKFSLAM, evaluate, plots, se2
 from slamkit.datasets import mrclam
 from slamkit.evaluate import trajectory
 from slamkit.models import RangeBearing
 
-HERE = Path(__file__).resolve().parent
-FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or HERE / "figures")
-DATA = Path(os.environ.get("SLAMKIT_DATA") or HERE.parent.parent / "shared" / "data")
-NAMES = ("MRCLAM_Dataset1.zip", "MRCLAM1.zip")  # as it is passed on, and as it is fetched
+FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
+DATA = Path(os.environ.get("SLAMKIT_DATA") or "data")
+NAMES = ("MRCLAM1.zip", "MRCLAM_Dataset1.zip")  # two names under which set 1 is found
 ZIP = next((path for name in NAMES if (path := DATA / "mrclam" / name).is_file()), DATA / "mrclam" / NAMES[0])
 if not ZIP.is_file():
-    print(f"skipped: there is no {ZIP.name} in the folder mrclam of {DATA}; SLAMKIT_DATA names another folder")
+    print(f"skipped: {DATA / 'mrclam'} holds no {ZIP.name}; set SLAMKIT_DATA to the folder that holds mrclam")
     raise SystemExit(0)
 
 # %% [markdown]
 # ## What is in the log
 #
-# The reader copes with what can be coped with, and counts the rest.
+# The reader handles the known faults of the files. It counts everything that it leaves out.
 
 # %%
 data = mrclam.read(ZIP, robot=3)
@@ -60,34 +61,35 @@ print(f"the two exchanged landmarks put right: {data.landmarks_corrected}")
 # %% [markdown]
 # ## Run it
 #
-# `mrclam.models()` are a unicycle and a range-bearing sensor, with noise that suits all five robots. The gate refuses a
-# sighting that fits too badly to be true. Its measure is the NIS,
+# `mrclam.models()` returns a unicycle and a range-bearing sensor, with noise that suits all five robots. The gate
+# rejects sightings that do not fit the estimate. It uses the NIS,
 #
-#     NIS = yᵀ S⁻¹ y,
+#     NIS = yᵀ S⁻¹ y
 #
-# which is χ² distributed with two degrees of freedom if the filter's claims are right. Then less than one sighting in a
-# million passes `mrclam.GATE`, 30. So what is refused is a misread barcode or the like, or else the filter is lost.
+# If the filter's claims are right, the NIS is χ² distributed with two degrees of freedom. Then less than one sighting
+# in a million exceeds `mrclam.GATE`, which is 30. A rejected sighting is therefore a fault such as a misread barcode,
+# or the filter is lost.
 #
-# The filter knows nothing about the hall: it starts at (0, 0, 0), and that is the frame of its map.
+# The filter knows nothing about the hall. It starts at (0, 0, 0), and this start defines the frame of its map.
 
 # %%
 motion, sensor = mrclam.models()
 ekf = EKFSLAM(motion, sensor, gate=mrclam.GATE)
 history = ekf.run(log)
-times, dead_reckoning = trajectory.dead_reckoning(log, motion)
+times, dead_reckoning = evaluate.dead_reckoning(log, motion)
 print(f"time for the whole log: {history.seconds:.2f} s")
 print(f"landmarks in the map: {len(ekf.landmarks)}")
-print(f"refused sightings: {history.rejected}")
+print(f"rejected sightings: {history.rejected}")
 
 # %% [markdown]
 # ## How good is it?
 #
-# The truth lives in the frame of the hall. So first the rigid motion T = (t, φ) that brings the trajectories together,
+# The truth is in the frame of the hall. So we first find the rigid motion T = (t, φ) that aligns the trajectories,
 #
-#     T = argmin Σ |R(φ) p_k + t − p_k*|²        over the times t_k for which there is a true position p_k*,
+#     T = argmin Σ |R(φ) p_k + t − p_k*|²        over the times t_k for which there is a true position p_k*
 #
-# and then everything is compared in one frame. The root of that mean square is the absolute trajectory error, ATE. The
-# landmarks are moved by the same T: they get no alignment of their own. Dead reckoning, to be fair, does.
+# and then compare everything in one frame. The root of this mean square is the absolute trajectory error (ATE). The
+# landmarks are moved by the same T and get no alignment of their own. Dead reckoning gets its own alignment.
 
 # %%
 slam = trajectory.evaluate(history.times, history.poses, log.truth, ekf.landmarks)
@@ -100,17 +102,17 @@ print(f"EKF-SLAM, heading RMSE: {slam.heading_rmse_deg:.1f} deg")
 # %% [markdown]
 # ## Is it right about its own uncertainty?
 #
-# The NIS needs no truth, so it can be watched on a real robot. Its mean should be 2.
+# The NIS needs no truth, so you can check it on a real robot. Its mean should be 2.
 
 # %%
 print(f"mean NIS: {np.nanmean(history.nis):.2f}")
 
 # %% [markdown]
-# It is far less: the filter expects worse sightings than it gets. That is on purpose. The noise in `mrclam.models()` is
-# about twice the scatter of single sightings, because it has to stand for their **bias** too. A bias differs from robot
-# to robot, and it does not average out as noise does.
+# The mean is much smaller: the filter expects larger innovations than it gets. This is intended. The noise in
+# `mrclam.models()` is about twice the scatter of single sightings, because it must also cover their **bias**. A bias
+# differs from robot to robot, and it does not average out as noise does.
 #
-# What would happen with the scatter alone, 0.15 m and 0.03 rad? Let us ask all five robots.
+# What happens if we use the scatter alone, 0.15 m and 0.03 rad? We test all five robots.
 
 # %%
 scatter = RangeBearing(0.15, 0.03)
@@ -120,18 +122,18 @@ for robot in mrclam.robots(ZIP):
         f = EKFSLAM(motion, its_sensor, gate=mrclam.GATE)
         said = f.run(its_log)
         result = trajectory.evaluate(said.times, said.poses, its_log.truth, f.landmarks)
-        print(f"robot {robot}, {name}, landmark RMSE: {result.landmark_rmse_m:.3f} m, refused: {said.rejected}")
+        print(f"robot {robot}, {name}, landmark RMSE: {result.landmark_rmse_m:.3f} m, rejected: {said.rejected}")
 
 # %% [markdown]
-# Some robots gain a little by it, others lose, and one loses part of its map: its filter has become so sure of a wrong
-# answer that it refuses hundreds of good sightings, and can no longer be corrected. On real data a claim that is too
-# modest has a price; a claim that is too bold is a danger.
+# Some robots gain a little and others lose. One loses part of its map: its filter has become so certain of a wrong
+# answer that it rejects hundreds of good sightings, and nothing can correct it any more. On real data, too much
+# claimed uncertainty costs some accuracy. Too little is dangerous.
 
 # %% [markdown]
 # ## The figure
 #
-# Left, the map in the frame of the hall; dead reckoning is moved by the same T, for it started at the same pose. Right,
-# the distance from the true position in that frame, and the NIS with its bands.
+# Left: the map in the frame of the hall. Dead reckoning is moved by the same T, because it started at the same pose.
+# Right: the distance from the true position in that frame, and the NIS with its bounds.
 
 # %%
 figure = plt.figure(figsize=(12, 6), layout="constrained")
@@ -156,7 +158,7 @@ print("figure:", plots.save(figure, FIGURES / "05_a_real_robot.png", dpi=150))
 # %% [markdown]
 # ## Key points
 #
-# - Real logs have lags, gaps, biases and wrong labels. A reader must handle them, and say what it left out.
-# - Align before you compare: the frame of SLAM is the robot's start, not the hall's.
-# - One set of parameters has to serve all robots. Noise that is tuned to one run explains nothing.
-# - Noise in a model stands for everything that the model leaves out, bias included.
+# - Real logs have lags, gaps, biases and wrong labels. A reader must handle them and report what it left out.
+# - Align before you compare. The frame of SLAM is the robot's start and not the hall.
+# - One set of parameters must serve all robots. Parameters tuned to one run prove nothing.
+# - The noise of a model must cover everything that the model leaves out, including bias.

@@ -1,22 +1,22 @@
-"""Gauge freedom: no sighting says how robot and map are turned as one, yet the standard EKF claims to learn it."""
+"""Gauge freedom: no sighting measures how robot and map are turned together, but the standard EKF claims it."""
 
 # %% [markdown]
 # # 07 · Gauge freedom
 #
-# A robot stands still and looks three hundred times at five landmarks. It learns the map ever better. What it cannot
-# learn is its own heading: turn the robot and all landmarks together, and every sighting stays the same. The standard
-# EKF learns it all the same. This tutorial shows that it does, shows in equations *how*, and shows three tests that
-# tell a filter that does from one that does not: nullity, gauge deviation and the stochastic-gauge test.
+# A robot stands still and sights five landmarks three hundred times. Its map becomes more and more accurate. It cannot
+# learn its own heading: if you turn the robot and all landmarks together, every sighting stays the same. But the
+# standard EKF claims to learn it. This tutorial shows this, explains it with equations, and shows three tests that
+# find filters with this fault: nullity, gauge deviation and the stochastic-gauge test.
 #
 # | symbol | shape | meaning |
 # |---|---|---|
 # | p, θ, lᵢ | (2,), scalar, (2,) | position [m] and heading [rad] of the robot, position of a landmark [m] |
 # | s = (p, θ, l₁ … l_N) | (D,), D = 3 + 2N | the state |
 # | T | (3,) | a rigid motion of the plane: a shift [m, m] and a turn [rad] |
-# | N | (D, 3) | the null directions: how s moves when robot and map are shifted and turned as one |
-# | n | (D,) | its third column, the turn |
+# | N | (D, 3) | the null directions: how s moves when robot and map are shifted and turned together |
+# | n | (D,) | third column of N: the turn |
 # | H | (2, D) | Jacobian of a sighting by s; R (2, 2) is the covariance of its noise |
-# | J = [0 −1; 1 0] | (2, 2) | a quarter turn |
+# | J = [0 −1; 1 0] | (2, 2) | rotation by a quarter turn |
 
 # %%
 import os
@@ -32,12 +32,13 @@ from slamkit.evaluate import gauge
 from slamkit.filters import FILTERS
 from slamkit.simulate import loop_world, standing_world
 
-FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or Path(__file__).resolve().parent / "figures")
+FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
 
 # %% [markdown]
 # ## What no sighting sees
 #
-# Five landmarks, ten metres off. Move the robot and all of them by any T, and predict the sightings anew:
+# There are five landmarks at a distance of ten metres. Move the robot and all landmarks by any T, and predict the
+# sightings again:
 
 # %%
 world = standing_world(np.deg2rad(5.0))
@@ -52,20 +53,23 @@ difference = max(
 print(f"robot and map moved as one, largest change of a sighting: {difference:.1e}")
 
 # %% [markdown]
-# These motions, the three of the plane, are the **gauge** of SLAM. A small one moves the state along the columns of
+# These motions are the three rigid motions of the plane. They are the **gauge** of SLAM. A small one moves the state
+# along the columns of
 #
 #     N = [I J p; 0 1; I J l₁; …; I J l_N]
 #
-# (two shifts, and a turn about the world's origin, which moves each point x by J x). No sighting changes, so
+# The first two columns are shifts. The third is a turn about the origin of the world, which moves each point x by J x.
+# No sighting changes, so
 #
 #     H N = 0
 #
-# if H and N are taken at the same state. That the robot does not know its heading is no defect of the map: the map is
-# right up to T, and where T matters, the start or a compass has to give it.
+# if H and N are evaluated at the same state. A map without a known heading is not wrong: it is right up to T. Where T
+# matters, the start or a compass must provide it.
 #
 # ## A robot that stands still
 #
-# The robot's heading is known to σ₀ at the start, and nothing it sees says more. After 300 scans, what is claimed?
+# At the start the heading is known with standard deviation σ₀, and no sighting adds information about it. What does
+# the filter claim after 300 scans?
 
 # %%
 RUNS = 10
@@ -92,29 +96,30 @@ for row, start in enumerate(starts):
     print(f"from {start:g} deg, first-estimates EKF is off by: {rmse['fej'][row]:.2f} deg (RMSE)")
 
 # %% [markdown]
-# The claim of the standard EKF falls, and the error does not. And it is absurd: from 2° on it hardly matters how much
-# was known. A robot that starts with 20° ends with about the claim of one that starts with 2°.
+# The claim of the standard EKF falls, but the error does not. From 2° on, the claim hardly depends on σ₀: a robot that
+# starts with 20° ends with about the same claim as one that starts with 2°.
 #
-# ## How it is learnt, in equations
+# ## How the EKF learns it, in equations
 #
-# The robot does not move, so all that happens is updates. In the inverse of P, the information matrix, they simply add
-# up. With P₀ the covariance when the map has just been started, and one term for each later sighting,
+# The robot does not move, so there are only updates. In the inverse of P, the information matrix, updates add up. Let
+# P₀ be the covariance when the map has just been started. Each later sighting adds one term:
 #
 #     P_k⁻¹ = P_0⁻¹ + Σ_j H_jᵀ R⁻¹ H_j
 #
-# Let n₀ be the turn as it looks at that start. The information along it is 1/σ₀² then, and later
+# Let n₀ be the turn at that start. The information along it is 1/σ₀² at first, and later
 #
 #     n₀ᵀ P_k⁻¹ n₀ = 1/σ₀² + Σ_j |R^(−1/2) H_j n₀|²
 #
-# and the sum should be zero. It is zero if every H_j has the same null direction. But the standard EKF takes H_j at its
-# estimate ŝ_j, whose null direction is n_j = n(ŝ_j), and that moves with every correction:
+# The sum should be zero. It is zero if every H_j has the same null direction. But the standard EKF evaluates H_j at
+# its estimate ŝ_j. The null direction there is n_j = n(ŝ_j), and it moves with every correction:
 #
 #     H_j n₀ = H_j (n₀ − n_j) ≠ 0,        n₀ − n_j = (J (p̂₀ − p̂_j), 0, J (l̂₁,₀ − l̂₁,_j), …)
 #
-# So once the estimate of a landmark has moved by some decimetres, every further sighting of it counts as information on
-# the heading. Nothing in the sighting says so: the innovation y does not enter P, only H does. That is all there is to
-# it. Let us add it up by hand, from H alone, and compare it with the covariance of the filter. (`order="batch"`: the
-# whole scan is linearised at one ŝ_j.)
+# When the estimate of a landmark has moved by some decimetres, every further sighting of it counts as information
+# about the heading. This does not depend on what is measured: the innovation y does not enter P, only H does.
+#
+# We now compute the sum from H alone and compare it with the covariance of the filter. (`order="batch"` linearises the
+# whole scan at one ŝ_j.)
 
 # %%
 log = simulate(world, np.random.default_rng(1))
@@ -139,13 +144,13 @@ print(f"learnt in {len(steps) - 1} scans, by the filter's covariance: {claimed -
 print(f"relative difference: {abs(claimed - information - learnt) / learnt:.1e}")
 
 # %% [markdown]
-# ## How it is avoided
+# ## How to avoid it
 #
-# The lever arms in H, from the robot to the landmark, must be taken where they do not move. The **first-estimates** EKF
-# takes them at the first estimate of every landmark and the predicted position of the robot; the rotation and the
-# innovation stay at the newest estimate. So H_j n₀ = 0 in every scan. The **observability-constrained** EKF looks for
-# the points nearest to the estimates of which that is true. The **invariant** EKF changes the coordinates of the error
-# until N is constant. The **ideal** EKF has the truth, which does not move either.
+# H contains the vectors from the robot to the landmark. They must be evaluated at points that do not move. The
+# **first-estimates** EKF uses the first estimate of every landmark and the predicted position of the robot. The
+# rotation and the innovation use the newest estimate. Then H_j n₀ = 0 in every scan. The **observability-constrained**
+# EKF uses the points nearest to the estimates for which this holds. The **invariant** EKF changes the coordinates of
+# the error so that N is constant. The **ideal** EKF uses the truth, which does not move.
 
 # %%
 for name in ("fej", "oc", "invariant"):
@@ -158,12 +163,13 @@ print(f"ekf, gauge deviation after {len(steps)} scans: {np.degrees(gauge.gauge_d
 # %% [markdown]
 # ## Test 1: nullity
 #
-# For a robot that moves, with Φ_k the Jacobian of a step, stack what each sighting sees of the initial state:
+# Now the robot moves. Let Φ_k be the Jacobian of a step. Stack what each sighting measures of the initial state:
 #
 #     O = [R^(−1/2) H_0; R^(−1/2) H_1 Φ_0; R^(−1/2) H_2 Φ_1 Φ_0; …]
 #
-# Its null space holds what no sighting has seen. It must have the dimension of the gauge: **three**. The Jacobians are
-# those that the filter really used, so the test judges the filter. Forty steps among five landmarks:
+# The null space of O contains the directions that no sighting has measured. Its dimension, the nullity, must be that
+# of the gauge: **three**. The test uses the Jacobians that the filter really used, so it judges the filter. Here are
+# forty steps among five landmarks:
 
 # %%
 course = gauge.observability_world()
@@ -172,7 +178,7 @@ family = ("ekf", "fej", "oc", "invariant", "ideal")
 
 
 def options(name: str, log: Log) -> dict[str, Any]:
-    """What a filter needs beside its models: the truth, for the ideal one."""
+    """Options of a filter: the ideal filter needs the truth."""
     return {"truth": log.truth} if name == "ideal" else {}
 
 
@@ -186,15 +192,15 @@ for name in family:
     print(f"{name}, third smallest singular value: {found.singular_values[-3]:.1e}")
 
 # %% [markdown]
-# Two for the standard EKF: the columns of N that shift are the same at every estimate, so the shifts are safe. The
-# turn is not.
+# The nullity of the standard EKF is two. The two columns of N for shifts are the same at every estimate, so the shifts
+# remain unobservable. The turn does not.
 #
 # ## Test 2: gauge deviation
 #
 #     √[(Nᵀ P⁻¹ N)⁻¹]_θθ
 #
-# is what the filter claims for the turn of robot and map as one, in degrees. Motion may make it grow; nothing that the
-# robot sees may make it fall.
+# is the standard deviation that the filter claims for the turn of robot and map together. Motion may increase it. No
+# sighting may decrease it.
 
 # %%
 for name in family:
@@ -203,9 +209,10 @@ for name in family:
 # %% [markdown]
 # ## Test 3: the stochastic gauge
 #
-# The first two tests look at matrices. The third looks at what a user gets. Run the same data twice, from an exactly
-# known start and from an uncertain one. What lies where *as the robot sees it*, Cᵀ(l − p), cannot depend on that. A
-# filter that mixes the gauge with the map answers differently. On 300 steps of the loop world, the largest difference:
+# The first two tests look at matrices. The third looks at the estimates. Run the same data twice, once from an exactly
+# known start and once from an uncertain one. The landmarks *as the robot sees them*, Cᵀ(l − p) with C the rotation by
+# θ, must not depend on it. A filter that mixes the gauge with the map gives different answers. This is the largest
+# difference on 300 steps of the loop world:
 
 # %%
 loop = loop_world()
@@ -220,9 +227,9 @@ for name in family:
         print(f"{name}, stochastic gauge at {angle:.0f} deg: {largest:.1e} m")
 
 # %% [markdown]
-# There is a weaker test that everybody passes: put the whole problem into another frame, and every estimate must move
-# with it. The standard EKF does. So it is not the choice of the frame that it is sensitive to, but how *uncertain* the
-# frame is.
+# There is a weaker test that all filters pass: transform the whole problem to another frame, and every estimate must
+# transform with it. The standard EKF passes it. Its fault does not depend on the choice of the frame, but on how
+# *uncertain* the frame is.
 
 # %%
 for name in family:
@@ -232,9 +239,9 @@ for name in family:
 # %% [markdown]
 # ## The figure
 #
-# Above, the standing robot: the deviation that is claimed for the heading, scan by scan (the mean of ten runs, for six
-# values of σ₀), and at the end, beside the error. Below, the moving one: the singular values of O, of which the last
-# three must be zero (here: rounding); and the stochastic-gauge test.
+# Top: the standing robot. Left is the claimed standard deviation of the heading after each scan (mean of ten runs, for
+# six values of σ₀). Right is the claim at the end with the error. Bottom: the moving robot. Left are the singular
+# values of O, of which the last three must be zero up to rounding. Right is the stochastic-gauge test.
 
 # %%
 figure = plt.figure(figsize=(11, 7.8), layout="constrained")
@@ -290,9 +297,10 @@ print("figure:", plots.save(figure, FIGURES / "07_gauge_freedom.png", dpi=150))
 # %% [markdown]
 # ## Key points
 #
-# - Robot and map, moved as one, give the same sightings. These three directions, the gauge, may never be learnt.
-# - The standard EKF claims to learn the turn: each H is taken where the estimate is just then, and no turn is null to
-#   all of them.
-# - It takes no bad luck and no bad data: the lever arms in H alone decide.
-# - Nullity must be 3, the gauge deviation must not fall, and an uncertain start must not change the relative map.
-# - First estimates, the observability constraint and the invariant error give all sightings one null space.
+# - If robot and map move together, all sightings stay the same. These three directions are the gauge. A filter must
+#   not gain information about them.
+# - The standard EKF claims to learn the turn. It evaluates each H at the current estimate, so the sightings have no
+#   common null direction for the turn.
+# - This needs no bad luck and no bad data. It follows from the linearisation points in H alone.
+# - The nullity must be 3, the gauge deviation must not fall, and an uncertain start must not change the relative map.
+# - First estimates, the observability constraint and the invariant error give all sightings the same null space.

@@ -1,30 +1,30 @@
-"""The family: every estimator over the same runs, and what sets them apart: accuracy, consistency, cost."""
+"""The family: every estimator over the same runs, compared in accuracy, consistency and cost."""
 
 # %% [markdown]
 # # 08 · The family, side by side
 #
-# slamkit has ten estimators. They take the same models, the same calls and the same logs, and differ in one thing:
-# where they linearise. This tutorial runs them over the same twenty logs and judges them by the same numbers: how far
-# they are off, whether they know it, and what a step costs. It shows that all that is inconsistent in the standard EKF
-# is a gauge that it claims to have learnt, and ends with which filter to use when.
+# slamkit has ten estimators. They accept the same models, the same calls and the same logs. They differ in one thing:
+# where they linearise. This tutorial runs them over the same twenty logs and compares accuracy, consistency and the
+# cost of a step. It shows that the inconsistency of the standard EKF lies entirely in the gauge, and it ends with
+# advice on which filter to use.
 #
 # | name | where it linearises |
 # |---|---|
 # | `ekf` | at the current estimate |
 # | `iterated` | at the maximum a posteriori estimate of each update |
-# | `ukf`, `ukf-full` | nowhere: a regression over sigma points, of the pose and one landmark or of the whole state |
+# | `ukf`, `ukf-full` | by regression over sigma points, of the pose and one landmark or of the whole state |
 # | `robocentric` | at the current estimate, in the robot's frame |
 # | `fej` | at first estimates |
 # | `oc`, `oc-ukf` | near the estimates, so that the gauge stays unobservable |
 # | `invariant` | at the current estimate, in an error whose gauge is constant |
-# | `ideal` | at the truth: the yardstick, which only a simulation knows |
+# | `ideal` | at the truth: a reference for simulations only |
 #
 # | symbol | shape | meaning |
 # |---|---|---|
 # | X, X̂ | (3,) | true and estimated pose, as rigid motions |
-# | g = log(X̂⁻¹ X) | (3,) | the error of the pose, seen from the robot |
-# | r | (2N,) | the errors of the landmarks **as the robot sees them**, of Cᵀ(l − p) with C = R(θ) |
-# | P_gg, P_gr, P_rr | (3, 3), (3, 2N), (2N, 2N) | the covariance that the filter claims for (g, r), in blocks |
+# | g = log(X̂⁻¹ X) | (3,) | error of the pose in robot coordinates |
+# | r | (2N,) | errors of the landmarks **in robot coordinates**, that is, of Cᵀ(l − p) with C = R(θ) |
+# | P_gg, P_gr, P_rr | (3, 3), (3, 2N), (2N, 2N) | blocks of the covariance that the filter claims for (g, r) |
 # | ε | scalar | NEES of the whole state; χ² with 3 + 2N degrees of freedom if the filter is consistent |
 
 # %%
@@ -42,15 +42,15 @@ from slamkit.filters import FILTERS
 from slamkit.simulate import loop_world
 from slamkit.study import compare
 
-FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or Path(__file__).resolve().parent / "figures")
+FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
 Array = NDArray[np.float64]
 
 # %% [markdown]
 # ## The same runs for all
 #
-# `compare` simulates run k from the seed and k alone, and gives its log to every filter. So whatever bad luck a run
-# has, all filters share, and differences *between* filters, run by run, are far sharper than the numbers themselves. A
-# filter that fails would be recorded, not dropped. (`jobs=1` takes one process; without it, all cores.)
+# `compare` simulates run k from the seed and k alone, and gives the same log to every filter. All filters share the
+# luck of a run, so differences *between* filters, run by run, are much more precise than the numbers themselves. The
+# study records a filter that fails and does not drop it. (`jobs=1` uses one process. The default uses all cores.)
 
 # %%
 RUNS = 20
@@ -68,8 +68,8 @@ def mean(values: Array) -> str:
 
 
 # %% [markdown]
-# The tenth, `ukf-full`, is not among them. Its sigma points span the whole state, so that a step costs O(D³); `ukf`
-# takes them over the pose and one landmark, and says the same:
+# The tenth filter, `ukf-full`, is not in the study. Its sigma points span the whole state, so a step costs O(D³).
+# `ukf` uses sigma points of the pose and one landmark, and gives the same answer:
 
 # %%
 log = simulate(world, np.random.default_rng(1))
@@ -77,7 +77,7 @@ partial, full = (
     FILTERS[name](world.motion, world.sensor, world.pose, world.pose_covariance) for name in ("ukf", "ukf-full")
 )
 for f in (partial, full):
-    copy.deepcopy(f).run(log)  # makes the machine code, or loads it
+    copy.deepcopy(f).run(log)  # compiles the filter, or loads its machine code
 seconds = [f.run(log).seconds for f in (partial, full)]
 apart = np.abs(partial.x - full.x) / np.sqrt(np.diag(partial.P))
 print(f"ukf and ukf-full, largest difference in standard deviations: {apart.max():.1e}")
@@ -97,20 +97,21 @@ square = {name: np.array([t.mean_square_error[0] for t in study.trials[name]]) f
 print(f"runs in which the EKF is farther off than the invariant EKF: {np.sum(square['ekf'] > square['invariant'])}")
 
 # %% [markdown]
-# Two groups. The filters from `robocentric` down are about as accurate as the ideal one; `ekf`, `ukf` and `iterated`
-# are worse. But the standard errors are wide, since most of the error is the luck of the run, which is the same for
-# all, and in some runs the EKF is the better one. Accuracy alone would be a weak judge.
+# There are two groups. `ekf`, `ukf` and `iterated` are less accurate. The others are about as accurate as the ideal
+# filter. But the standard errors are large, because most of the error is the luck of the run, which all filters share.
+# In some runs the EKF is the more accurate one. Accuracy alone is a weak criterion.
 #
 # ## Consistency, and where it is lost
 #
-# What SLAM estimates has two parts. What lies where *as the robot sees it*, r, is measured. Where robot and map lie as
-# one, g, is not. The NEES splits exactly into what is claimed of the one and of the other:
+# SLAM estimates two things. The positions of the landmarks *as the robot sees them* have the error r. They are
+# measured. The position and rotation of robot and map together have the error g. They are not measured. The NEES
+# splits exactly into a part for each:
 #
 #     ε = rᵀ P_rr⁻¹ r                                                              relative map, 2N
 #       + (g − P_gr P_rr⁻¹ r)ᵀ (P_gg − P_gr P_rr⁻¹ P_rg)⁻¹ (g − P_gr P_rr⁻¹ r)     gauge, 3
 #
-# with 2N and 3 degrees of freedom. Divided by these, both have the mean 1 if the filter is consistent. At the end of
-# the five loops:
+# with 2N and 3 degrees of freedom. If the filter is consistent, each part divided by its degrees of freedom has mean
+# 1. Here is the split at the end of the five loops:
 
 # %%
 relative = {name: np.array([t.relative_nees / t.relative_dof for t in study.trials[name]]) for name in names}  # (M,)
@@ -123,20 +124,21 @@ s = summary["ekf"]
 print(f"95 % band of the gauge NEES per dof: {s['gauge_nees_low'] / 3:.2f} to {s['gauge_nees_high'] / 3:.2f}")
 
 # %% [markdown]
-# The relative map of the standard EKF is right: it is off by just what is claimed. So take the difference to a filter
-# that keeps its gauge, run by run:
+# The standard EKF is consistent about the relative map. We take the difference to a filter that keeps its gauge, run
+# by run:
 
 # %%
 for part, values in (("relative", relative), ("gauge", gauges)):
     print(f"ekf minus invariant, {part} NEES per dof: {mean(values['ekf'] - values['invariant'])}")
 
 # %% [markdown]
-# **All of it is gauge.** To see it in a single run, take the one in which the EKF is most overconfident, and move the
-# true robot and the true map by one rigid motion T, so that the true robot comes to lie on the estimated one:
+# **All of the difference is in the gauge.** A single run shows it too. Take the run in which the EKF is most
+# overconfident. Move the true robot and the true map by one rigid motion T, so that the true robot coincides with the
+# estimated one:
 #
 #     X → T X,   lᵢ → T lᵢ,   T = X̂ X⁻¹
 #
-# No sighting changes. Three numbers are all that was wrong:
+# No sighting changes. Only the three numbers of T were wrong:
 
 # %%
 worst = int(np.argmax(gauges["ekf"]))
@@ -158,10 +160,10 @@ for when, split in (
     print(f"{when}, NEES of the whole state per dof: {split.total / (split.gauge_dof + split.relative_dof):.2f}")
 
 # %% [markdown]
-# ## Who keeps the gauge
+# ## Which filters keep the gauge
 #
-# The three tests of the last tutorial, on the first hundred steps of the first run, from an uncertain start (0.1 m and
-# 5°). The Jacobians of `robocentric` are not in the frame of the world, so that it has no nullity to record.
+# These are the three tests of tutorial 07, on the first hundred steps of the first run, from an uncertain start (0.1 m
+# and 5°).
 
 # %%
 for name in names:
@@ -173,12 +175,13 @@ for name in names:
     )
 
 # %% [markdown]
-# The `ukf` replaces the derivative and learns the gauge none the less, and the `iterated` EKF, whose every update is
-# the better optimum, claims to learn even more. The `oc-ukf` keeps its gauge deviation; but its regressions depend on
-# how uncertain the pose is, so that its relative map does too, and the third test finds that.
+# The `ukf` replaces the derivative by a regression and still learns the gauge. The `iterated` EKF finds the better
+# optimum in every update and claims to learn even more. The `oc-ukf` keeps its gauge deviation. But its regressions
+# depend on how uncertain the pose is, so its relative map does too. The third test finds this.
 #
-# Keeping the gauge has a price. Whoever linearises elsewhere than at the estimate pays for it in the relative map; even
-# the ideal EKF does, for its innovations are those of the estimate. Run by run, against the one that does not pay:
+# Keeping the gauge has a price. A filter that linearises away from its estimate loses consistency in the relative map.
+# This is true even of the ideal EKF, because its innovations are those of the estimate. The invariant EKF does not pay
+# this price. Run by run, the others compare with it as follows:
 
 # %%
 for name in names:
@@ -195,29 +198,29 @@ slowest = max(summary[name]["seconds_per_step"] for name in names) / summary["ek
 print(f"time of a step, the slowest of the nine over the EKF: {slowest:.1f} times")
 
 # %% [markdown]
-# None of them is so much dearer that cost would decide, and a consistent one costs little more than the EKF.
+# The cost does not decide the choice. A consistent filter costs little more than the EKF.
 #
 # ## Which one, when
 #
-# | use | where |
+# | use | when |
 # |---|---|
-# | `invariant` | by default: right in both parts, and no linearisation point to choose |
-# | `fej` | the gauge must be kept with the least change to an EKF; it lives with its first estimates, good or bad |
-# | `oc` | likewise, with points that stay nearer to the newest estimates |
-# | `oc-ukf` | sigma points are wanted in place of derivatives |
+# | `invariant` | by default: consistent in both parts, and no linearisation points to choose |
+# | `fej` | the gauge must be kept with the smallest change to an EKF; depends on the quality of the first estimates |
+# | `oc` | the gauge must be kept with linearisation points closer to the newest estimates than those of `fej` |
+# | `oc-ukf` | sigma points are wanted instead of derivatives |
 # | `ekf` | only the relative map matters |
-# | `iterated`, `ukf` | to compare with: neither a better optimum nor a regression keeps the gauge |
-# | `robocentric` | to compare with: it keeps the gauge, and its changes of frame cost exactness |
-# | `ideal` | in a simulation, as the yardstick |
+# | `iterated`, `ukf` | for comparison: a better optimum or a regression does not keep the gauge |
+# | `robocentric` | for comparison: it keeps the gauge, but its changes of frame cost consistency in the relative map |
+# | `ideal` | as a reference in simulations |
 #
-# That is one world. On a real robot the noise is no longer what the models say, and the order may differ: the README
-# has a table for the logs of MRCLAM.
+# This is one simulated world. On a real robot the noise does not follow the models, and the order may differ. The page
+# `docs/results/mrclam.md` has a table for the logs of MRCLAM.
 #
 # ## The figure
 #
-# Above, the two parts of the NEES per degree of freedom, with the 95 % band of twenty runs. Below, the gauge deviation,
-# which may not fall, and the heading of the EKF: its errors in all runs, three times their RMSE, and the ±3σ that it
-# claims.
+# Top: the two parts of the NEES per degree of freedom, with the 95 % band of twenty runs. Bottom: the gauge deviation,
+# which must not fall, and the heading of the EKF, with its errors in all runs, three times their RMSE, and the claimed
+# ±3σ.
 
 # %%
 figure = study.overview()
@@ -227,8 +230,9 @@ print("figure:", plots.save(figure, FIGURES / "08_the_family.png", dpi=150))
 # %% [markdown]
 # ## Key points
 #
-# - Compare filters over the same runs, and run by run: the differences are sharper than the numbers.
+# - Compare filters over the same runs, run by run. The differences are more precise than the numbers.
 # - The NEES splits into the relative map, which is measured, and the gauge, which is not.
-# - The relative map of the standard EKF is as consistent as the best one's. All that it is wrong about is its gauge.
-# - Neither iterating nor sigma points help: what has to be kept is the null space.
-# - A filter that keeps it costs little more. Of these, the invariant one was right in both parts.
+# - The relative map of the standard EKF is as consistent as that of the best filter. Its inconsistency is in the
+#   gauge.
+# - Iterating and sigma points do not help. A filter must keep the null space.
+# - A filter that keeps it costs little more. Among these, the invariant filter was consistent in both parts.

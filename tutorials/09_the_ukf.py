@@ -1,25 +1,25 @@
-"""The unscented filter: how far apart its sigma points may lie, in which axes, and how few of them it needs."""
+"""The unscented filter: how far to spread its sigma points, in which axes, how many, and when to redraw them."""
 
 # %% [markdown]
 # # 09 · The unscented filter
 #
-# The extended filter replaces a function by its tangent. The unscented filter (UKF) tries the function out instead, at
-# a few *sigma points* around the mean, and takes mean and covariance of what comes out. It needs no derivatives. In
-# SLAM, though, a textbook's UKF meets four problems that have nothing to do with derivatives:
+# The extended filter replaces a function by its tangent. The unscented filter (UKF) evaluates the function at a few
+# *sigma points* around the mean, and computes mean and covariance from the results. It needs no derivatives. In SLAM,
+# a textbook UKF has four problems that have nothing to do with derivatives:
 #
-# - its points lie √D standard deviations from the mean, and D grows with the map,
-# - it gives another answer when somebody else chooses the axes of the world,
-# - it costs O(D³) a sighting, though a sighting concerns five numbers,
-# - and if its points are not drawn anew after an update, the covariance turns negative.
+# - Its points lie √D standard deviations from the mean, and D grows with the map.
+# - Its answer depends on the choice of the world's axes.
+# - A sighting costs O(D³), although it depends on only five numbers.
+# - If the points are not redrawn after an update, the covariance becomes negative.
 #
-# This tutorial shows each of them in a few lines of NumPy, and what slamkit's `UKFSLAM` does about it.
+# This tutorial shows each problem in a few lines of NumPy, and how slamkit's `UKFSLAM` solves it.
 #
 # | symbol | shape | meaning |
 # |---|---|---|
 # | x, P | (D,), (D, D) | mean and covariance of the pose and N landmarks, D = 3 + 2N |
 # | L | (D, D) | a root of the covariance, L Lᵀ = P, with columns L_i |
-# | s = α √(n + κ) | scalar | spread: how many standard deviations the points of n dimensions lie from the mean |
-# | W₀, W | scalars | weights of the centre, 1 − n/s², and of every other point, 1/(2 s²) |
+# | s = α √(n + κ) | scalar | spread: distance of the points from the mean in standard deviations, in n dimensions |
+# | W₀, W | scalars | weight of the centre, 1 − n/s², and of every other point, 1/(2 s²) |
 # | z, S | (2,), (2, 2) | range [m] and bearing [rad] of a sighting, and covariance of its prediction |
 # | R(θ) | (2, 2) | rotation from robot axes to world axes |
 
@@ -43,27 +43,27 @@ from slamkit.evaluate import gauge
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.simulate import World, random_world
 
-FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or Path(__file__).resolve().parent / "figures")
+FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
 
 # %% [markdown]
 # ## The transform
 #
-# The sigma points of a Gaussian are its mean and two points on each column of a root of P,
+# The sigma points of a Gaussian are its mean and two points along each column of a root of P,
 #
 #     X₀ = x        X_{±i} = x ± s L_i,   i = 1 … n
 #
-# With the weights of the table their mean is x and their covariance P, whatever s is. So the mean, the covariance, and
-# the covariance with x of a function f(x) are estimated from its values at the points:
+# With the weights of the table, their mean is x and their covariance is P for every s. The function values at the
+# points give the mean of f(x), its covariance, and its covariance with x:
 #
 #     m = Σ W_j f(X_j)        S = Σ W_j (f(X_j) − m)(f(X_j) − m)ᵀ + (1 − α² + β)(f(x) − m)(f(x) − m)ᵀ
 #     C = Σ W_j (X_j − x)(f(X_j) − m)ᵀ
 #
-# This is Julier and Uhlmann's transform where α = 1 and β = 0. α and β are van der Merwe's: a small α draws the points
-# together, and his last term, with β = 2, makes up for what S would lose by that if x is Gaussian.
+# With α = 1 and β = 0 this is the transform of Julier and Uhlmann. α and β come from van der Merwe. A small α moves
+# the points together. The last term, with β = 2, compensates what S would lose by that if x is Gaussian.
 #
-# Differences are taken from f(x) with the function's own subtraction, for angles must be subtracted as angles.
+# Differences from f(x) use the function's own subtraction, because angles must be subtracted as angles.
 
 
 # %%
@@ -84,8 +84,8 @@ def unscented(
 
 
 # %% [markdown]
-# What is gained: a landmark 10 m ahead is seen with a poor bearing, 0.3 rad. It lies somewhere on an arc, which bends
-# towards the robot. The tangent does not bend, so an EKF starts the landmark at 10 m.
+# Here is what the transform gains. A landmark 10 m ahead is seen with a poor bearing of 0.3 rad. It lies somewhere on
+# an arc that bends towards the robot. The tangent does not bend, so an EKF starts the landmark at 10 m.
 
 # %%
 poor = RangeBearing(sigma_range=0.1, sigma_bearing=0.3)
@@ -100,9 +100,9 @@ print(f"mean distance of the landmark, 20000 samples: {samples[:, 0].mean():.2f}
 # %% [markdown]
 # ## First problem: the spread
 #
-# With κ = 0 and α = 1 the points lie √n standard deviations from the mean, and with a map of 100 landmarks n is 203.
-# Then a heading that is known to 5° is tried out at 71°. The usual advice is κ = 3 − n, which gives s = √3 for every n,
-# as the fourth moments of a Gaussian demand. Its price is the weight of the centre:
+# With κ = 0 and α = 1, the points lie √n standard deviations from the mean. With a map of 100 landmarks, n is 203. If
+# the heading is known to 5°, the function is evaluated at 71°. The usual advice is κ = 3 − n. It gives s = √3 for
+# every n, which matches the fourth moments of a Gaussian. Its price is the weight of the centre:
 
 # %%
 D = 203
@@ -111,20 +111,20 @@ print(f"spread with kappa = 0 at n = {D}: {np.sqrt(D):.1f} standard deviations")
 print(f"centre weight with kappa = 3 - n at n = {D}: {kappa / (D + kappa):.1f}")
 
 # %% [markdown]
-# A sum with a weight of −66 need not give a covariance. Take |x|², where x has 203 independent components of variance
-# 1; its variance is 2 · 203 = 406.
+# A sum with a weight of −66 does not always give a valid covariance. For example, take |x|², where x has 203
+# independent components of variance 1. Its variance is 2 · 203 = 406.
 
 # %%
 _, variance, _ = unscented(lambda v: np.array([v @ v]), np.zeros(D), np.eye(D), kappa=kappa)
 print(f"variance of |x|² by kappa = 3 - n: {variance[0, 0]:.0f}")
 
 # %% [markdown]
-# And what does the wide spread do in SLAM? A robot knows its heading to 5°. It maps N landmarks with one scan and asks
-# for the range at which it will see landmark 0, which lies at 10 m. The answer cannot depend on N: the range is a
-# function of the pose and of this one landmark.
+# What does a wide spread do in SLAM? A robot knows its heading to 5°. It maps N landmarks with one scan and predicts
+# the range of landmark 0, which is 10 m away. The answer cannot depend on N, because the range is a function of the
+# pose and of this one landmark.
 #
-# The points do depend on N. When the heading moves by s · 5°, the belief moves the landmark along, on the tangent of
-# its circle around the robot. That is right nearby. At 71° the tangent has left the circle, and the landmark has gone
+# But the points depend on N. When the heading moves by s · 5°, the belief moves the landmark along the tangent of its
+# circle around the robot. This is right for small angles. At 71° the tangent has left the circle, and the landmark is
 # 60 % farther away.
 
 # %%
@@ -133,7 +133,7 @@ sizes = [1, 3, 10, 30, 100, 300]
 
 
 def sight(v: Array) -> Array:
-    """What the robot will see of the landmark that stands behind the pose in the state."""
+    """Predicted sighting of the landmark whose position follows the pose in the state."""
     return sensor.predict(v[:3], v[3:5])
 
 
@@ -163,20 +163,21 @@ for name, values in predicted.items():
     print(f"sd of the predicted range at N = 300, spread {name}: {values[-1]:.3f} m")
 
 # %% [markdown]
-# A filter that takes the range to be five times as uncertain as it is makes little of a sighting, and the less the
-# larger its map. slamkit scales with α = 0.01: the points keep close to the mean, where the tangent is as good as the
-# circle. They are nearly a derivative then, with the second-order terms of mean and covariance on top.
+# A filter that claims five times the true uncertainty of the range learns little from a sighting. The larger its map,
+# the less it learns. slamkit uses α = 0.01. The points stay close to the mean, where the tangent is as good as the
+# circle. They are then almost a derivative, plus the second-order terms of mean and covariance.
 #
 # ## Second problem: the axes
 #
-# Nobody has told the robot where north is. If we turn the world by 1.1 rad, robot and map included, every estimate must
-# turn along and nothing else may happen. For an EKF this is so. A UKF's points lie on the columns of a root of P, and a
-# root is not unique: a Cholesky root is triangular *in the axes in which P is written*, so in other axes the points
-# lie elsewhere. The remedy is to take the root in axes that the robot carries along, and to turn it back:
+# The robot does not know where north is. If we turn the world by 1.1 rad, including robot and map, every estimate must
+# turn with it and nothing else may change. This is true for an EKF. The points of a UKF lie along the columns of a
+# root of P, and a root is not unique. A Cholesky root is triangular *in the axes in which P is written*, so in other
+# axes the points are different. The remedy is to compute the root in axes that turn with the robot, and to rotate it
+# back:
 #
 #     L = T chol(Tᵀ P T),        T = diag(R(θ), 1, R(θ), R(θ) …)
 #
-# Here is a whole UKF-SLAM, with sigma points over the whole state and over the noise, and the root as an argument.
+# Here is a complete UKF-SLAM with sigma points over the whole state and the noise. The root is an argument.
 
 # %%
 Root = Callable[[Array, float], Array]
@@ -200,7 +201,7 @@ def turned(a: Array, b: Array) -> Array:
 
 
 class WholeUKF:
-    """UKF-SLAM with every sigma point over everything."""
+    """UKF-SLAM with sigma points over the whole state and the noise."""
 
     def __init__(self, world: World, pose: Array, P: Array, root: Root) -> None:
         self.motion, self.sensor, self.root = world.motion, world.sensor, root
@@ -208,7 +209,7 @@ class WholeUKF:
         self.slots: dict[object, int] = {}
 
     def joint(self, v: Array, V: Array) -> tuple[Array, Array]:
-        """The state with a noisy input v ~ N(v, V) below it, and the root of their covariance."""
+        """The state followed by a noisy input of mean v and covariance V, and the root of their covariance."""
         return np.append(self.x, v), block_diag(self.root(self.P, self.x[2]), np.linalg.cholesky(V))
 
     def predict(self, u: Array, dt: float) -> None:
@@ -227,7 +228,7 @@ class WholeUKF:
             self.x, self.P = np.append(self.x, m), np.block([[self.P, C[:D]], [C[:D].T, S]])
             return
         a = self.slots[landmark]
-        L = self.root(self.P, self.x[2])  # drawn anew for every sighting
+        L = self.root(self.P, self.x[2])  # redrawn for every sighting
         residual = self.sensor.residual
         m, S, C = unscented(lambda v: self.sensor.predict(v[:3], v[a : a + 2]), self.x, L, subtract=residual)
         S = S + self.sensor.R
@@ -263,18 +264,19 @@ for kind in (UKFSLAM, FullUKFSLAM):
     print(f"largest change by turning the frame, {kind.__name__}: {largest:.1e}")
 
 # %% [markdown]
-# Centimetres that depend on where north is. The root in body axes removes all but the rounding.
+# With the root in world axes, the estimate changes by centimetres when north changes. The root in body axes removes
+# this effect up to rounding.
 #
 # ## Third problem: the cost, and the partial transform
 #
-# A root of P costs O(D³), and there are 2D + 1 points to try out, though a sighting depends on the pose and on one
-# landmark. Call these five numbers a and the rest of the state b, and put a first. A Cholesky root is triangular,
+# A root of P costs O(D³), and there are 2D + 1 points, although a sighting depends only on the pose and one landmark.
+# Let a be these five numbers and b the rest of the state, with a first. A Cholesky root is triangular,
 #
 #     L = [L_aa 0; L_ba L_bb]
 #
-# so the points on the columns of L_bb do not move a at all: the sighting is the same there as at the centre. What
-# remains are the points on L_aa, and the covariance with the whole state is C = P_xa P_aa⁻¹ C_a. The sigma points of
-# the five numbers alone give the same, *exactly*, if they are given the same spread. In `sight`, a comes first.
+# so the points along the columns of L_bb do not change a. The sighting there is the same as at the centre. Only the
+# points along L_aa matter, and the covariance with the whole state is C = P_xa P_aa⁻¹ C_a. The sigma points of the
+# five numbers alone give the same result *exactly* if they have the same spread. In `sight`, a comes first.
 
 
 # %%
@@ -309,12 +311,13 @@ print(f"largest difference between whole and partial update, same spread: {large
 print(f"whole over partial update at N = {sizes[-1]}: {times['ukf-full'][-1] / times['ukf'][-1]:.0f} times")
 
 # %% [markdown]
-# This is the *partial transform*. The regression H̄ = C_aᵀ P_aa⁻¹ plays the part of the Jacobian in the sparse update of
-# the EKF, and what a linear function of a cannot explain of z is added to the noise.
+# This is the *partial transform*. The regression H̄ = C_aᵀ P_aa⁻¹ takes the place of the Jacobian in the sparse update
+# of the EKF. The part of z that is not linear in a is added to the noise.
 #
-# slamkit's `UKFSLAM` works like that; `FullUKFSLAM` draws its points over everything, for reference. Each takes the
-# spread of its own dimension, and the full one keeps the landmarks in their order. So they differ by what spread and
-# order make out: for a small α, nothing. Both run over the same logs, with every landmark in sight.
+# slamkit's `UKFSLAM` works like this. `FullUKFSLAM` uses points over the whole state, as a reference. Each uses the
+# spread for its own dimension, and the full filter keeps the landmarks in their order. So the two differ only through
+# spread and order. For a small α there is no difference. Both filters run over the same logs, with every landmark in
+# sight.
 
 # %%
 for N in (5, 20, 50):
@@ -336,11 +339,11 @@ for N in (5, 20, 50):
         print(f"N = {N}, alpha = {alpha:g}, partial from full: {largest:.1e} standard deviations")
 
 # %% [markdown]
-# ## Fourth problem: points that are not drawn anew
+# ## Fourth problem: points that are not redrawn
 #
-# filterpy's UKF draws its points in `predict` and uses them for every `update` until the next one. So its second
-# sighting of a scan compares with points that spread as if the first had not been made. One number with P = 1, measured
-# three times with R = 1: the right answer is 1/2, 1/3, 1/4.
+# filterpy's UKF draws its points in `predict` and uses them for every `update` until the next prediction. The second
+# sighting of a scan is then compared with points that ignore the first. Here is one number with P = 1, measured three
+# times with R = 1. The right variances are 1/2, 1/3 and 1/4.
 
 # %%
 stale = UnscentedKalmanFilter(
@@ -356,15 +359,15 @@ for n in (1, 2, 3):
     print(f"variance after {n} updates, drawn anew: {ours.P[0, 0]:.3f}")
 
 # %% [markdown]
-# Each update takes off what the first one did, and the third leaves a negative variance. filterpy expects one
-# measurement after each prediction; in SLAM a scan has many sightings, and each has to be compared with what the filter
-# believes by then.
+# Each update subtracts the same amount as the first, and the third leaves a negative variance. filterpy expects one
+# measurement after each prediction. In SLAM a scan has many sightings, and each one must be compared with the current
+# belief.
 #
 # ## What sigma points do not cure
 #
-# The standard EKF's inconsistency is a heading that it claims to have learnt. The UKF is no better there: its
-# regressions are not those of one linear system either. The world has five landmarks that are always in sight, and a
-# heading that is known to 3°, and nothing in it could ever tell the heading better.
+# The standard EKF is inconsistent because it claims to learn its heading. The UKF has the same fault: its regressions
+# do not belong to one linear system either. The world below has five landmarks that are always in sight, and a heading
+# that is known to 3°. Nothing in this world measures the heading.
 
 # %%
 small = gauge.observability_world()
@@ -377,10 +380,9 @@ for kind in (EKFSLAM, UKFSLAM):
 # %% [markdown]
 # ## The figure
 #
-# Above left, landmark 0 as the robot sees it, in a map of 100 landmarks: the belief, and what the sigma points make of
-# it. The two outermost crosses are the points of the heading: they have left the arc on which the cloud lies. Above
-# right, what that does to a prediction. Below, the change of the estimates when the frame is turned, and the time of
-# an update.
+# Top left: landmark 0 as the robot sees it, in a map of 100 landmarks, with samples of the belief and the sigma
+# points. The two outermost crosses are the points of the heading. They have left the arc of the samples. Top right:
+# the effect on a prediction. Bottom: the change of the estimates when the frame is turned, and the time of an update.
 
 # %%
 figure = plt.figure(figsize=(11, 7.6), layout="constrained")
@@ -437,9 +439,9 @@ print("figure:", plots.save(figure, FIGURES / "09_the_ukf.png", dpi=150))
 # %% [markdown]
 # ## Key points
 #
-# - Sigma points that spread with √D leave the region in which a belief means anything. κ = 3 − n keeps them close and
-#   pays with a huge negative weight. A small α keeps them close without.
-# - A Cholesky root knows the axes of the world. Take it in the axes of the robot.
-# - A function of five numbers needs the sigma points of five numbers: the same answer, and no O(D³).
-# - Draw the points anew before every update.
-# - A UKF needs no derivatives. It is no cure for inconsistency: it learns its heading as the EKF does.
+# - Sigma points with a spread of √D leave the region in which the belief is meaningful. κ = 3 − n keeps them close but
+#   needs a large negative weight. A small α keeps them close without it.
+# - A Cholesky root depends on the axes of the world. Compute it in the axes of the robot.
+# - A function of five numbers needs the sigma points of five numbers. The answer is the same, without the O(D³) cost.
+# - Redraw the points before every update.
+# - A UKF needs no derivatives. It does not cure inconsistency: it claims to learn its heading, as the EKF does.

@@ -1,31 +1,31 @@
-"""Convergence: what seeing the same landmarks again can teach a filter, what it never can, and who claims otherwise."""
+"""Convergence: what repeated sightings can teach a filter, what they cannot, and which filter claims too much."""
 
 # %% [markdown]
 # # 10 · Convergence
 #
-# A robot drives its loop again and again. The map becomes better and better. How good can it become?
+# A robot drives the same loop again and again, and its map improves. How good can the map become?
 #
 # Dissanayake, Newman, Clark, Durrant-Whyte and Csorba gave three answers (IEEE Transactions on Robotics and Automation
 # 17(3), 2001):
 #
-# 1. the covariance of the map never grows at an update,
-# 2. the landmarks become known *among themselves* as well as you like,
-# 3. but no landmark becomes better known *in the world* than the robot was when it started.
+# 1. No update increases the covariance of the map.
+# 2. The positions of the landmarks *relative to each other* become known without limit.
+# 3. No landmark becomes better known *in the world* than the pose of the robot at the start.
 #
-# They proved them for a world in which everything is linear. This tutorial measures all three on a robot that turns,
-# with two filters: the standard EKF, and the EKF with first estimates (FEJ), which takes every Jacobian where it first
-# took it. Two of the answers hold for both. The third is the one that the standard EKF breaks.
+# They proved them for a linear system. This tutorial measures all three on a robot that turns, with two filters: the
+# standard EKF, and the EKF with first estimates (FEJ), which evaluates every Jacobian at its first linearisation
+# point. Two of the answers hold for both filters. The standard EKF breaks the third.
 #
 # | symbol | shape | meaning |
 # |---|---|---|
 # | P₀ | (3, 3) | covariance of the pose (p₀, θ₀) at the start [m², m·rad, rad²] |
 # | P_mm | (2N, 2N) | covariance of the N landmarks lᵢ [m²] |
-# | K, K_m, S | (D, 2), (2N, 2), (2, 2) | gain of an update, its rows of the landmarks, covariance of the innovation |
-# | J | (2, 2) | quarter turn, [0 −1; 1 0] |
+# | K, K_m, S | (D, 2), (2N, 2), (2, 2) | gain of an update, its rows for the landmarks, covariance of the innovation |
+# | J | (2, 2) | rotation by a quarter turn, [0 −1; 1 0] |
 # | A₀ | (2N, 3) | rows [I, J(lᵢ − p₀)]: how a landmark moves with the whole map when the start moves |
 # | N_m | (2N, 3) | rows [I, J lᵢ]: the rigid motions of the map, its gauge |
 #
-# A ≽ B says that A − B has no negative eigenvalue.
+# A ≽ B means that A − B has no negative eigenvalue.
 
 # %%
 import os
@@ -36,18 +36,18 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from slamkit import EKFSLAM, FirstEstimatesEKFSLAM, plots, simulate
-from slamkit.evaluate import consistency, gauge
+from slamkit import EKFSLAM, FirstEstimatesEKFSLAM, evaluate, plots, simulate
+from slamkit.evaluate import gauge
 from slamkit.simulate import loop_world
 
-FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or Path(__file__).resolve().parent / "figures")
+FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
 Array = NDArray[np.float64]
 
 # %% [markdown]
-# ## A start that is not known
+# ## An uncertain start
 #
-# If the start defines the frame of the map, P₀ is zero and the bound says little. So we want the map in a frame that
-# was there before, and the robot knows where it stands in it to 0.1 m and 3° only. It drives five loops of 251 s.
+# If the start defines the frame of the map, P₀ is zero and the bound has no content. So we want the map in a frame
+# that existed before, in which the robot knows its pose only to 0.1 m and 3°. It drives five loops of 251 s.
 # `simulate` draws the true start from P₀.
 
 # %%
@@ -59,15 +59,15 @@ filters = (EKFSLAM, FirstEstimatesEKFSLAM)
 # %% [markdown]
 # ## First: no update makes the map worse
 #
-# An update changes the map's covariance by
+# An update changes the covariance of the map by
 #
 #     P_mm ← P_mm − K_m S K_mᵀ
 #
-# and what is taken off has no negative eigenvalue. A prediction does not touch P_mm, and a new landmark adds rows and
-# columns and leaves the others. So P_mm only shrinks. That is plain algebra. It holds whatever the Jacobians are, right
-# or wrong, which means that it says nothing of whether the filter has reason to be so sure.
+# and the subtracted matrix has no negative eigenvalue. A prediction does not change P_mm. A new landmark adds rows and
+# columns and does not change the others. So P_mm only shrinks. This is algebra. It holds for any Jacobians, right or
+# wrong, so it does not show that the filter is entitled to its confidence.
 #
-# We check it at every update of one run, and note on the way what the next two sections need.
+# We check it at every update of one run, and record what the next two sections need.
 
 # %%
 seeds = np.random.SeedSequence(1).spawn(40)
@@ -96,17 +96,17 @@ for kind in filters:
     print(f"{f.name}, smallest eigenvalue of what an update takes off: {smallest:.1e} m²")
 
 # %% [markdown]
-# Zero, but for the rounding.
+# The eigenvalues are zero up to rounding.
 #
 # ## Second: the map becomes rigid
 #
-# To see what is known of the landmarks among themselves, take out of P_mm what belongs to the map as a whole, its three
-# rigid motions:
+# To measure how well the landmarks are known relative to each other, remove the three rigid motions of the whole map
+# from P_mm:
 #
 #     Π P_mm Πᵀ,     Π = I − N_m (N_mᵀ N_m)⁻¹ N_mᵀ
 #
-# This is `gauge.relative_map_covariance`. It goes to zero, its root as 1/√t, as for any mean of independent
-# measurements. The root mean variance of a landmark in it, after the first loop and at the end:
+# `gauge.relative_map_covariance` computes this. It goes to zero. Its root falls as 1/√t, as for any mean of
+# independent measurements. Here is the root mean variance of a landmark in it, after the first loop and at the end:
 
 # %%
 columns = {name: np.array(rows).T for name, rows in notes.items()}  # time, gap, relative, far
@@ -118,17 +118,18 @@ for name, (times, _, relative, _) in columns.items():
     print(f"{name}, ratio of the two over that of 1/√t: {relative[-1] / relative[loop] / expected:.2f}")
 
 # %% [markdown]
-# Both filters agree. (Are they right? Below we shall ask them over many runs.)
+# Both filters agree. (The section "Does it matter?" checks with many runs whether they are right.)
 #
 # ## Third: the whole map keeps the uncertainty of the start
 #
-# If the robot starts with an error δ₀ of its pose, it maps a world that is moved and turned by δ₀, and every sighting
-# confirms it: landmark i is off by [I, J(lᵢ − p₀)] δ₀. The other errors are independent of δ₀ and add to it, so
+# If the robot starts with an error δ₀ of its pose, its whole map is shifted and turned by δ₀, and every sighting
+# agrees with this map. Landmark i has the error [I, J(lᵢ − p₀)] δ₀. The other errors are independent of δ₀ and add to
+# it, so
 #
 #     P_mm ≽ A₀ P₀ A₀ᵀ
 #
-# at all times. There is nothing to be learnt about δ₀, for no sensor on board has anything to do with the frame in
-# which it is meant. `gauge.lower_bound_gap` gives the smallest eigenvalue of the difference.
+# at all times. No sensor on board measures the outer frame, so there is no information about δ₀.
+# `gauge.lower_bound_gap` gives the smallest eigenvalue of the difference.
 
 # %%
 for name, (times, gap, _, _) in columns.items():
@@ -139,17 +140,17 @@ for name, (times, gap, _, _) in columns.items():
         print(f"{name}, first below the bound after: {times[below.argmax()]:.0f} s")
 
 # %% [markdown]
-# FEJ keeps the bound. The standard EKF breaks it before it has closed the first loop, and ends square metres below. It
-# takes its Jacobians at the current estimate, and every correction moves that. So A₀, as the filter sees it, is not the
-# same from one sighting to the next. A combination of sightings that has no information about δ₀ seems to have some,
-# and a little of it is learnt each time.
+# FEJ keeps the bound. The standard EKF breaks it before the first loop is closed, and ends several square metres
+# below. It evaluates its Jacobians at the current estimate, and every correction moves the estimate. So A₀, as the
+# filter sees it, differs from one sighting to the next. A combination of sightings that contains no information about
+# δ₀ then seems to contain some, and the filter learns a little each time.
 #
 # ## Does it matter?
 #
-# We repeat the run with other noise and another start each time, and look at one landmark far from the start. The NEES
-# of a landmark is its squared error in units of what is claimed, 2 on the average if the claim is right. And
-# `gauge.nees_split` takes the NEES of the whole state apart: its relative part is that of the landmarks as the robot
-# sees them, and should be 1 for each of their coordinates.
+# We repeat the run with different noise and a different start each time, and look at one landmark far from the start.
+# The NEES of a landmark is its squared error in units of the claim. Its mean is 2 if the claim is right.
+# `gauge.nees_split` splits the NEES of the whole state. Its relative part is that of the landmarks as the robot sees
+# them, and should be 1 per degree of freedom.
 
 # %%
 errors: dict[str, list[Array]] = {f.name: [] for f in filters}
@@ -163,7 +164,7 @@ for seed in seeds:
         f.run(log)
         errors[f.name].append(f.landmarks[FAR] - world.landmarks[FAR])
         values[f.name].append(
-            float(consistency.landmark_nees(f.landmarks[FAR], f.marginal([FAR])[1], world.landmarks[FAR]).values)
+            float(evaluate.landmark_nees(f.landmarks[FAR], f.marginal([FAR])[1], world.landmarks[FAR]).values)
         )
         within[f.name].append(gauge.nees_split(f, log.truth.poses[-1], world.landmarks).relative_per_dof)
 place = world.landmarks[FAR] - world.pose[:2]
@@ -171,27 +172,28 @@ A_far = np.array([[1.0, 0.0, -place[1]], [0.0, 1.0, place[0]]])
 bound = A_far @ P0 @ A_far.T
 print(f"landmark {FAR}, sd by the bound: {np.sqrt(np.trace(bound)):.2f} m")
 for name, e in errors.items():
-    nees = consistency.summary(values[name], dof=2)
+    nees = evaluate.summary(values[name], dof=2)
     print(f"{name}, landmark {FAR}, claimed sd: {np.sqrt(np.trace(claims[name])):.2f} m")
     print(f"{name}, landmark {FAR}, RMSE over {len(e)} runs: {np.sqrt(np.mean(np.sum(np.square(e), axis=1))):.2f} m")
     print(f"{name}, landmark {FAR}, mean NEES: {nees.mean:.1f} ± {nees.standard_error:.1f}")
-    nees = consistency.summary(within[name], dof=1)
+    nees = evaluate.summary(within[name], dof=1)
     print(f"{name}, relative NEES per degree of freedom: {nees.mean:.2f} ± {nees.standard_error:.2f}")
 
 # %% [markdown]
-# It matters. The landmark is as far off as the start and the drift of the first loop make it, whatever a filter claims;
-# the standard EKF, which follows what it believes to have learnt, is rather farther off. What it says of the landmarks
-# among themselves is right; all that is wrong with it is what it says of the map as a whole. FEJ is right about that,
-# and pays a price elsewhere: its Jacobians stay where they were first taken, here some degrees off, and its relative
-# map claims a little too much.
+# It matters. The error of the landmark follows from the start and the drift of the first loop, whatever a filter
+# claims. The standard EKF has a larger error, because it follows what it claims to have learnt. It is right about the
+# landmarks relative to each other. It is wrong only about the map as a whole. FEJ is right about that, at a price: its
+# Jacobians stay at their first linearisation points, which are some degrees off here, and it is a little overconfident
+# about the relative map.
 #
-# FEJ's claim ends above the bound, not on it. The bound knows the start only. While there was no map to hold on to, the
-# wheels added their own noise to the map's place in the world, and that can never be learnt either.
+# FEJ's claim ends above the bound and not on it. The bound contains only the start. Before the first landmarks were
+# seen again, the noise of the motion added to the uncertainty of the map's place in the world. This can never be
+# learnt either.
 #
 # ## The figure
 #
-# Above left, the errors of one landmark at the end of all the runs, and the 95 % that the filters claim in the first
-# one. Above right, the claim for it over time. Below, the two measures of the sections above.
+# Top left: the errors of one landmark at the end of all runs, and the 95 % region that each filter claims in the first
+# run. Top right: the claim over time. Bottom: the two measures of the sections above.
 
 # %%
 figure = plt.figure(figsize=(11, 8), layout="constrained")
@@ -233,7 +235,8 @@ print("figure:", plots.save(figure, FIGURES / "10_convergence.png", dpi=150))
 # %% [markdown]
 # ## Key points
 #
-# - P_mm never grows at an update. That is algebra, true of every Kalman filter, and no sign of consistency.
-# - The map becomes rigid: what lies where in it is learnt as 1/√t, without a limit.
-# - Where the map lies in the world is never learnt. Its uncertainty stays at least that of the start, P_mm ≽ A₀P₀A₀ᵀ.
-# - The standard EKF claims less. A filter whose Jacobians agree about what cannot be seen keeps the bound.
+# - No update increases P_mm. This is algebra and holds for every Kalman filter. It does not show consistency.
+# - The map becomes rigid: the relative positions are learnt as 1/√t, without limit.
+# - The place of the map in the world is never learnt. Its uncertainty stays at least that of the start, P_mm ≽
+#   A₀P₀A₀ᵀ.
+# - The standard EKF claims less. A filter whose Jacobians agree on the unobservable directions keeps the bound.

@@ -1,25 +1,25 @@
-"""Ten thousand landmarks: what a step costs on a small and on a large map, and why the quick way is still exact."""
+"""Ten thousand landmarks: what a step costs on a small and on a large map, and why the fast method is exact."""
 
 # %% [markdown]
 # # 12 · Ten thousand landmarks
 #
-# A sighting changes everything that is correlated with what was seen, and that is everything (tutorial 02). So EKF-SLAM
-# pays for the whole map with every sighting, and a map of ten thousand landmarks is said to be out of its reach. But
-# nobody asks for the whole map after every sighting. What is not in sight may be corrected later, if enough is written
-# down to do it exactly (Guivant & Nebot, IEEE TRA 17(3), 2001).
+# A sighting changes everything that is correlated with the landmark, which is everything (tutorial 02). So a plain
+# EKF-SLAM pays for the whole map at every sighting, and a map of ten thousand landmarks is considered too large for
+# it. But you rarely need the whole map after every sighting. A filter can update landmarks that are out of sight
+# later, if it keeps enough information to do this exactly (Guivant & Nebot, IEEE TRA 17(3), 2001).
 #
-# This tutorial shows what has to be written down, that nothing is lost but rounding, and what of the cost grows with
-# the map.
+# This tutorial shows which information the filter keeps, that the result is the same up to rounding, and which costs
+# still grow with the map.
 #
 # | symbol | shape | meaning |
 # |---|---|---|
 # | x, P | (D,), (D, D), D = 3 + 2N | mean and covariance of the pose and N landmarks |
-# | A | indices | what is active: the pose, and the landmarks sighted since the last flush |
-# | A₀, b | indices | of A, what was in the map at the flush; what rests: all the others |
-# | x⁰, P⁰ | (D,), (D, D) | mean and covariance as the last flush has left them |
-# | M = P⁰[A₀, b] | (A₀, b) | how what rests depended on what is active |
-# | Φ | (A, A₀) | what has become of that since: P_Ab = Φ M |
-# | Ψ, ϑ | (A₀, A₀), (A₀,) | what the covariance and the mean of the rest are to be corrected by |
+# | A | indices | the active entries: the pose, and the landmarks sighted since the last flush |
+# | A₀, b | indices | the part of A that was in the map at the flush; the resting entries: all others |
+# | x⁰, P⁰ | (D,), (D, D) | mean and covariance after the last flush |
+# | M = P⁰[A₀, b] | (A₀, b) | covariance of active and resting entries at the last flush |
+# | Φ | (A, A₀) | how this covariance has changed since: P_Ab = Φ M |
+# | Ψ, ϑ | (A₀, A₀), (A₀,) | pending corrections of the covariance and the mean of the resting entries |
 # | H, S = L Lᵀ, y | (2, A), (2, 2), (2,) | Jacobian, innovation covariance and innovation of a sighting |
 # | w, g, t | (2, A), (2, A₀), (2,) | L⁻¹ H P_AA, L⁻¹ H Φ and L⁻¹ y |
 
@@ -42,17 +42,18 @@ from slamkit.models import RangeBearing, Unicycle
 from slamkit.se2 import wrap
 from slamkit.simulate import random_world
 
-FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or Path(__file__).resolve().parent / "figures")
+FIGURES = Path(os.environ.get("SLAMKIT_FIGURES") or "figures")
 Array = NDArray[np.float64]
-AT_ONCE, PLAIN = Storage(), Storage(compress_above=10**6)  # the default, and a filter that postpones nothing
+AT_ONCE, PLAIN = Storage(), Storage(compress_above=10**6)  # the default, and a filter that defers nothing
 
 # %% [markdown]
-# ## One field, cut to size
+# ## One field, maps of several sizes
 #
-# There are ten thousand landmarks, one on ten square metres. A map of N landmarks is the square in the middle that
-# holds N of them. First comes a quick survey: the robot leaps from stop to stop, on a spiral inwards, looks 25 m far
-# and keeps the first sighting of every landmark. Then it drives, 0.1 m a step, from one random place to the next, and
-# looks 5 m far, which is eight landmarks on the average. On maps of 1000 landmarks and more it drives the same way.
+# There are ten thousand landmarks, one per ten square metres. A map of N landmarks is the square in the middle that
+# contains N of them. First comes a quick survey: the robot jumps from stop to stop on a spiral inwards, sights
+# landmarks up to 25 m away, and keeps the first sighting of each. Then it drives from one random place to the next,
+# 0.1 m a step, and sights landmarks up to 5 m away, eight on average. On maps of 1000 landmarks and more it drives the
+# same path.
 
 # %%
 motion, sensor = Unicycle(sigma_v=0.05, sigma_omega=0.005), RangeBearing(0.1, np.deg2rad(0.5))
@@ -61,7 +62,7 @@ places = sorted(field.values(), key=lambda place: float(np.abs(place).max()))
 
 
 def drive(n: int, steps: int) -> World:
-    """The map of n landmarks and a way through it that begins in the middle."""
+    """The map of n landmarks and a path through it that begins in the middle."""
     way = random_world(np.random.default_rng(2), min(n, 1000), steps=steps)
     return replace(way, landmarks=dict(enumerate(places[:n])), motion=motion, sensor=sensor)
 
@@ -92,25 +93,25 @@ def surveyed(n: int, storage: Storage) -> EKFSLAM:
 # %% [markdown]
 # ## What a sighting touches
 #
-# Take the moment after a flush, when P⁰ is complete. Part the state into A, which holds the pose and all that will be
-# sighted for a while, and the rest b. The motion concerns the pose, a sighting the pose and one landmark: the Jacobian
-# of whatever comes is zero in b, [H 0]. So with w_b = L⁻¹ H P_Ab, the update P ← P − wᵀw falls into
+# Start just after a flush, when P⁰ is complete. Split the state into A, which contains the pose and all landmarks that
+# will be sighted for a while, and the rest b. Motion changes the pose. A sighting involves the pose and one landmark.
+# So every Jacobian is zero in b: [H 0]. With w_b = L⁻¹ H P_Ab, the update P ← P − wᵀw splits into
 #
 #     P_AA ← P_AA − wᵀw         P_Ab ← P_Ab − wᵀ w_b         P_bb ← P_bb − w_bᵀ w_b         x_b ← x_b + w_bᵀ t
 #
-# H P_AA, S and y need nothing of b. **The filter in A goes on as if b did not exist**, and no digit of it depends on
-# whether b is kept up to date. And b? Let P_Ab = Φ M, with Φ = I at the flush. Then w_b = L⁻¹ H Φ M = g M, and M can be
-# left outside:
+# H P_AA, S and y need nothing of b. **The filter in A works as if b did not exist.** None of its numbers depends on
+# whether b is up to date. For b, write P_Ab = Φ M with Φ = I at the flush. Then w_b = L⁻¹ H Φ M = g M, and M can stay
+# outside:
 #
 #     Φ ← Φ − wᵀg               Ψ ← Ψ + gᵀg                  ϑ ← ϑ + gᵀt
 #
-# and a motion is F on the pose's rows of Φ. None of these is larger than A. At any time, and exactly, for nothing was
-# left out,
+# A motion multiplies the pose's rows of Φ by F. None of these matrices is larger than A. At any time, the complete
+# state is exactly
 #
 #     P_Ab = Φ M                P_bb = P⁰_bb − Mᵀ Ψ M        x_b = x⁰_b + Mᵀ ϑ
 #
-# That is the flush. By hand, for 40 steps on a map of 200 landmarks, beside a filter that postpones nothing and lends
-# us its linearisation points:
+# Computing it is the flush. Here it is in NumPy, for 40 steps on a map of 200 landmarks. A filter that defers nothing
+# runs beside it and provides the linearisation points:
 
 # %%
 plain = surveyed(200, PLAIN)
@@ -119,7 +120,7 @@ x0, P0 = plain.x, plain.P
 
 
 def rows(landmark: Hashable) -> list[int]:
-    """Where a landmark stands in the state."""
+    """Indices of a landmark in the state."""
     slot = 3 + 2 * plain.landmark_ids.index(landmark)
     return [slot, slot + 1]
 
@@ -158,18 +159,18 @@ print(f"by hand, largest move of a landmark that was not in sight, in standard d
 print(f"by hand, largest difference from the plain filter: {max(np.abs(e).max() for e in errors):.1e}")
 
 # %% [markdown]
-# (Here and below, differences of x are in metres and radians, and those of P_ij in units of √(P_ii P_jj).)
+# (Here and below, differences of x are in metres and radians. Differences of P_ij are in units of √(P_ii P_jj).)
 #
 # ## The active set grows
 #
-# The filter does not know beforehand what will be sighted. When a landmark j comes into sight that rests, its rows are
-# made from the equations above, with c = P⁰[A₀, j]: P_jA = cᵀΦᵀ, P_jj = P⁰_jj − cᵀΨc, x_j = x⁰_j + cᵀϑ. That is O(A²),
-# and j has joined A. A new landmark gets its rows of Φ from the pose's. So A grows along the way, every step costs
-# O(A²), and now and then the filter flushes and starts again with the pose alone. Does it still say the same after many
-# regions and many flushes?
+# The filter does not know in advance which landmarks it will sight. When it sights a resting landmark j, it computes
+# the rows of j from the equations above, with c = P⁰[A₀, j]: P_jA = cᵀΦᵀ, P_jj = P⁰_jj − cᵀΨc, x_j = x⁰_j + cᵀϑ. This
+# costs O(A²), and j is then in A. A new landmark gets its rows of Φ from those of the pose. So A grows as the robot
+# drives, and a step costs O(A²). From time to time the filter flushes and starts again with the pose alone. Is the
+# result still the same after many regions and many flushes?
 #
-# How large A is, is no public matter: it changes nothing that a filter says. For this tutorial we look at it from
-# inside.
+# The size of A changes no result, so it is not part of the public interface. This tutorial reads it from the inside of
+# the filter.
 
 
 # %%
@@ -199,16 +200,16 @@ print(f"200 landmarks, 3000 steps, largest difference of x: {dx:.1e}")
 print(f"200 landmarks, 3000 steps, largest difference of P: {dp:.1e}")
 
 # %% [markdown]
-# Not an approximation with a small error: the same numbers, summed in another order.
+# The method is not an approximation. It computes the same sums in a different order.
 #
 # ## From 10 to 10,000
 #
-# Now the same on four maps. Every step of the drive is timed by itself. At the end comes a flush whose time is counted
-# too, so that no work is left undone. Beside it stands the plain filter, up to N = 1000. Its 8 sightings are 8 changes
-# of rank two of a triangle of D²/2 numbers, 8 D² multiply-adds, so that a hundredfold N is a ten thousandfold time.
+# Now we run four maps and time every step of the drive. At the end comes a flush, whose time also counts, so that no
+# work is left undone. The plain filter runs beside it up to N = 1000. Its 8 sightings are 8 rank-2 changes of a
+# triangle of D²/2 numbers, or 8 D² multiply-adds. So 100 times the landmarks take 10,000 times the time.
 #
-# Memory cannot be postponed: one triangle is D (D + 1)/2 numbers of 8 bytes. (While a map grows there are two of them
-# now and then, the old one and a larger one.)
+# Memory cannot be deferred: one triangle is D (D + 1)/2 numbers of 8 bytes. (While a map grows, the old triangle and a
+# larger one sometimes exist at the same time.)
 
 # %%
 SIZES, STEPS = (10, 100, 1000, 10_000), 400
@@ -259,27 +260,28 @@ print(f"dimension of A at N = 10000, largest of these: {large[:same].max()}")
 print(f"median of these steps at N = 1000: {1e6 * np.median(spent_at[1000][:same]):.0f} µs")
 print(f"median of these steps at N = 10000: {1e6 * np.median(spent_at[10_000][:same]):.0f} µs")
 print(f"dimension of A at N = 10000, after {STEPS} steps: {large[-1]} of {D}")
-del f  # it holds gigabytes
+del f  # frees gigabytes
 
 # %% [markdown]
-# The robot drives the same way through 1000 landmarks and through 10,000, and sights the same. So A is the same at
-# every step, and a step between flushes costs about the same: what it touches does not know how large the map is. They
-# part where the filter of the smaller map finds that a flush would pay.
+# The robot drives the same path through 1000 landmarks and through 10,000, and sights the same landmarks. So A is the
+# same at every step, and a step between flushes costs about the same: it does not touch the rest of the map. The two
+# differ only after the filter with the smaller map finds that a flush pays off.
 #
 # ## What a flush costs
 #
-# What does grow is the flush. Mᵀ Ψ M over one triangle is about A D²/2 multiply-adds, against 8 D² for one step of the
-# plain filter. But a landmark is paid for once, when it has *come* into sight, and not again at every sighting: the
-# robot meets about one new landmark in a metre, which is ten steps and eighty sightings. And it is one large product of
-# matrices, which a processor does at a far better rate than eighty changes of rank two. All the same it is ∝ D²: what a
-# travelling robot pays on the average grows with the map, from a much lower level.
+# The cost of a flush grows with the map. Mᵀ Ψ M over one triangle is about A D²/2 multiply-adds, against 8 D² for one
+# step of the plain filter. But a flush pays for a landmark once, when it has *come* into sight, and not at every
+# sighting. The robot meets about one new landmark per metre, which is ten steps and eighty sightings. A flush is also
+# one large matrix product, which a processor computes much faster than eighty changes of rank two. Its cost is still ∝
+# D², so the average cost for a travelling robot grows with the map, from a much lower level.
 #
-# The filter flushes when the excess that a large A has cost reaches the price of a flush. So it flushes the less often
-# the larger the map is, and A grows larger meanwhile. A robot that stays where it is need not flush at all.
+# A flush pays off once the extra cost of a large A since the last flush exceeds the cost of a flush. So the filter
+# flushes less often on a larger map, and A grows larger in between. A robot that stays in one region does not need to
+# flush at all.
 #
-# A robot minds the worst step, too. `Storage(flush_work=…)` spreads a flush over steps: it says how many multiply-adds
-# a step may spend on it. Meanwhile the filter goes on; a landmark that comes into sight and is not yet corrected is
-# corrected for itself. On a map of 3000 landmarks:
+# The slowest step matters too. `Storage(flush_work=…)` spreads a flush over several steps. It sets the number of
+# multiply-adds that one step may spend on the flush. The filter continues meanwhile. A landmark that comes into sight
+# before the flush has reached it is updated individually. Here is a map of 2000 landmarks:
 
 # %%
 MANY, LONG = 2000, 1500
@@ -297,21 +299,21 @@ print(f"N = {MANY}, at once and spread, largest difference of x: {dx:.1e}")
 print(f"N = {MANY}, at once and spread, largest difference of P: {dp:.1e}")
 
 # %% [markdown]
-# The worst step is bounded. The price is a larger average: so that even the first part of a flush stays within the
-# bound, A must stay small, and there are more flushes. The answer is the same.
+# The time of the slowest step is bounded. The price is a larger average: A must stay small so that even the first part
+# of a flush stays within the bound, so there are more flushes. The result is the same.
 #
 # ## The figure
 #
-# Above left, the time of a step; the plain filter's is measured up to N = 1000 and goes on as D² does. Above right, the
-# dimension of A along the drive. Below left, every step of the two filters on the map of 2000; a lone one of some
-# milliseconds is no flush, but the machine that had something else to do. Below right, memory.
+# Top left: the time of a step. The plain filter is measured up to N = 1000 and extrapolated by D². Top right: the
+# dimension of A during the drive. Bottom left: every step of the two filters on the map of 2000. A single step of some
+# milliseconds is not a flush: the machine was busy with something else. Bottom right: memory.
 
 # %%
 figure = plt.figure(figsize=(11, 7.6), layout="constrained")
 (cost, reached), (worst, memory) = figure.subplots(2, 2)
 ekf, grey = plots.style("ekf").color, "0.45"
 line = plain_times[-1] * ((3 + 2 * np.array([1000, 10_000])) / 2003) ** 2
-cost.loglog(SIZES[:3], plain_times, color=grey, linestyle="--", marker="^", markersize=5, label="postpones nothing")
+cost.loglog(SIZES[:3], plain_times, color=grey, linestyle="--", marker="^", markersize=5, label="defers nothing")
 cost.loglog((1000, 10_000), line, color=grey, linestyle=":", label="∝ D², not measured")
 cost.loglog(SIZES, average, color=ekf, marker="o", markersize=5, label="slamkit, average with flushes")
 cost.loglog(SIZES, usual, color=ekf, linewidth=0.9, marker="s", markersize=4, label="slamkit, median step")
@@ -340,7 +342,7 @@ for name, color, marker in (("at once", ekf, "o"), ("spread", "black", ".")):
     )  # fmt: skip
 top = 1e3 * max(spent.max() for spent in times.values())
 worst.set_ylim(top=8 * top)
-worst.set(xlabel=f"steps since the survey, N = {MANY}", ylabel="that step [ms]", xlim=(0, LONG))
+worst.set(xlabel=f"steps since the survey, N = {MANY}", ylabel="time of the step [ms]", xlim=(0, LONG))
 for ax in (cost, reached, worst, memory):
     ax.legend(loc="best", frameon=False, fontsize="small")
 
@@ -350,10 +352,11 @@ print("figure:", plots.save(figure, FIGURES / "12_ten_thousand_landmarks.png", d
 # %% [markdown]
 # ## Key points
 #
-# - A sighting measures the pose and what is in sight. So the filter in there needs nothing of the rest, and what the
-#   rest is to be told can be kept in Φ, Ψ and ϑ, no larger than A. It is the plain filter, in another order.
-# - A step between flushes costs O(A²), where A is what has been in sight since the last. N is not in it.
-# - What grows with N is memory, D²/2 numbers, and the flush, A D²/2 multiply-adds: once for what has come into sight,
-#   not for every sighting.
+# - A sighting measures the pose and landmarks in sight. The filter in A needs nothing of the rest. The pending
+#   corrections of the rest fit into Φ, Ψ and ϑ, which are no larger than A. The result is that of the plain filter.
+# - A step between flushes costs O(A²), where A contains what was in sight since the last flush. It does not depend on
+#   N.
+# - Two costs grow with N: memory, D²/2 numbers, and the flush, A D²/2 multiply-adds. A flush is paid once for the
+#   landmarks that came into sight, not for every sighting.
 # - Reading `P` flushes. `pose`, `pose_covariance`, `landmarks` and `marginal` do not.
-# - `Storage(flush_work=…)` bounds the worst step and raises the average.
+# - `Storage(flush_work=…)` bounds the slowest step and raises the average.

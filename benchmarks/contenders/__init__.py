@@ -1,4 +1,4 @@
-"""The filters that the benchmark of scaling compares, each behind the same few calls."""
+"""The filters of the scaling benchmark, all with the same interface."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ from typing import ClassVar, Protocol
 import numpy as np
 from _workload import Array, IntArray, Work
 
-#: Standard deviations by which filters may differ after thousands of steps that do the same in another order.
+#: Tolerance in standard deviations for filters that do the same arithmetic in another order, over thousands of steps.
 ROUNDING = 1e-7
 
 
 class MissingError(Exception):
-    """What a contender needs is not on this machine."""
+    """This machine lacks something that a contender needs."""
 
 
 class Contender(Protocol):
-    """One way to do the work. Making it raises `MissingError` where something that it needs is not there."""
+    """One way to do the work. Its constructor raises `MissingError` if something that it needs is missing."""
 
-    tolerance: ClassVar[float]  #: how far it may be from slamkit, in standard deviations
-    defers: ClassVar[bool]  #: whether it puts work off to later steps, so that only many steps tell what one costs
+    tolerance: ClassVar[float]  #: largest disagreement with slamkit, in standard deviations
+    defers: ClassVar[bool]  #: whether it defers work to later steps, so that only many steps show what one costs
 
-    grows: ClassVar[bool]  #: whether a step takes the longer the more it has taken before
+    grows: ClassVar[bool]  #: whether steps become slower with the number of steps taken
 
     def __init__(self, work: Work) -> None: ...
 
     def start(self) -> None:
-        """Go to the end of the survey; not timed."""
+        """Go to the end of the survey. Not timed."""
         ...
 
     def ready(self, begin: int, end: int) -> Callable[[], object]:
-        """Prepare steps begin … end-1; what is returned takes them, and is timed."""
+        """Prepare the steps begin … end-1. The returned function takes them; only it is timed."""
         ...
 
     def joint(self, at: IntArray) -> tuple[Array, Array]:
@@ -40,7 +40,7 @@ class Contender(Protocol):
         ...
 
 
-#: Name in tables and figures → module and class; a module is imported only where its contender runs.
+#: Name in tables and figures → module and class. A module is imported only in the process of its contender.
 CONTENDERS = {
     "C++, one triangle": "triangle:Triangle",
     "slamkit, run": "slamkit_ekf:Run",

@@ -18,18 +18,18 @@ FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-std=c++17", "-shared", 
 
 @cache
 def library(source: str, compile_flags: Sequence[str] = (), link_flags: Sequence[str] = ()) -> ctypes.CDLL:
-    """The shared library of a source file, compiled in a scratch folder that is gone once it is loaded.
+    """The shared library of a source file. It is compiled in a temporary folder that is deleted after loading.
 
-    The compiler is the one that CXX names, else g++.
+    The compiler is $CXX, by default g++.
 
     Raises
     ------
     MissingError
-        There is no compiler, or the source does not compile: a header is not there.
+        There is no compiler, or the source does not compile, for example because a header is missing.
     """
     compiler = shutil.which(os.environ.get("CXX", "g++"))
     if compiler is None:
-        raise MissingError("no C++ compiler (g++, or the one that CXX names)")
+        raise MissingError("no C++ compiler: expected g++, or the one named by CXX")
     with TemporaryDirectory() as folder:
         made = Path(folder) / "contender.so"
         command = [

@@ -1,4 +1,4 @@
-"""Filters with dense matrices in NumPy: filterpy's as it comes, and the textbook's."""
+"""Filters with dense matrices in NumPy: filterpy's, and the textbook's."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ R = np.diag([SIGMA_RANGE**2, SIGMA_BEARING**2])
 Steps = list[tuple[Array, float, list[tuple[int, Array]]]]
 
 
-# -- the models as a textbook's filter has them: plain Python on scalars, dense matrices ------------------------------
+# -- the models of a textbook filter: plain Python on scalars, dense matrices -----------------------------------------
 
 
 def move(pose: Array, u: Array, dt: float) -> tuple[list[float], Array, Array]:
-    """Exact arc: new pose, ∂/∂pose (3, 3) and the noise's covariance (3, 3)."""
+    """Exact arc: new pose, ∂/∂pose (3, 3), and covariance of the noise (3, 3)."""
     (x, y, theta), (v, omega) = pose.tolist(), u.tolist()
     a = omega * dt / 2
     sinc, slope = (sin(a) / a, (cos(a) - sin(a) / a) / a) if abs(a) > 1e-4 else (1 - a * a / 6, -a / 3)
@@ -50,7 +50,7 @@ def jacobian(x: Array, slot: int) -> Array:
 
 
 def residual(z: Array, z_hat: Array) -> Array:
-    """The difference z - z_hat, the bearing wrapped."""
+    """The difference z - z_hat with a wrapped bearing."""
     y = z - z_hat
     y[1] = (y[1] + pi) % (2 * pi) - pi
     return y
@@ -72,7 +72,7 @@ def _steps(work: Work, begin: int, end: int) -> Steps:
 
 
 class Filterpy(ExtendedKalmanFilter):
-    """filterpy's ExtendedKalmanFilter as it comes: dense F and Q to predict, one dense update a sighting."""
+    """filterpy's ExtendedKalmanFilter, unchanged: dense F and Q for a prediction, a dense update for each sighting."""
 
     tolerance: ClassVar[float] = ROUNDING
     defers: ClassVar[bool] = False
@@ -83,11 +83,11 @@ class Filterpy(ExtendedKalmanFilter):
         self.work, self.R, self.dt = work, R, 0.0
 
     def predict_x(self, u: Any = 0) -> None:
-        """The motion model; filterpy calls it from `predict`."""
+        """The motion model, called by filterpy from `predict`."""
         self.x[:3], self.F[:3, :3], self.Q[:3, :3] = move(self.x[:3], u, self.dt)
 
     def start(self) -> None:
-        """A map cannot grow in filterpy: take slamkit's."""
+        """Copy slamkit's map, because a state cannot grow in filterpy."""
         mapped = self.work.surveyed()
         self.x, self.P, self.F, self.Q = mapped.x.copy(), mapped.P.copy(), np.eye(self.dim_x), np.zeros_like(self.P)
 
@@ -120,7 +120,7 @@ class Textbook:
         self.work = work
 
     def start(self) -> None:
-        """Take slamkit's map: how landmarks are started is not what is compared."""
+        """Copy slamkit's map: the initialisation of landmarks is not compared."""
         mapped = self.work.surveyed()
         self.x, self.P = mapped.x.copy(), mapped.P.copy()
 

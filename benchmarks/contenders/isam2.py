@@ -1,6 +1,6 @@
-"""GTSAM's iSAM2, a smoother: it keeps every pose, and its step grows with their number.
+"""GTSAM's iSAM2, a smoother: it keeps every pose, and its steps become slower with their number.
 
-GTSAM 4.3 comes as a wheel, which slamkit does not depend on: it is in the extra `bench`.
+The extra `bench` installs GTSAM 4.3.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from contenders import MissingError
 from contenders.dense import move
 
-#: [m]; noise added to each motion: that of speed and turn rate leaves a direction out, and a factor's must be of full
-#: rank. With half of it GTSAM's Cholesky factorisation fails on 10,000 landmarks.
+#: [m]; noise added to each motion, because the noise of speed and turn rate has rank 2 and that of a factor must have
+#: full rank. With half of it the Cholesky factorisation of GTSAM fails on 10,000 landmarks.
 LEAST = 1e-3
 
 
 class Smoother:
-    """iSAM2 with its own defaults; after each step the newest pose is read.
+    """iSAM2 with default parameters. The newest pose is read after each step.
 
-    It starts from the same prior and maps the survey itself. That it ends elsewhere than a filter is in its nature: it
-    linearises the past anew where a filter has linearised for good, and leaves corrections below a millimetre aside;
-    besides there is `LEAST`. With less noise and less of these, the difference goes to zero (tests/test_contenders.py).
+    It starts from the same prior and maps the survey itself. Its result differs from a filter's for three reasons: it
+    relinearises the past, it ignores corrections below a millimetre, and it has the noise `LEAST`. The difference goes
+    to zero with less noise and smaller thresholds (tests/test_contenders.py).
     """
 
-    tolerance: ClassVar[float] = 1.0  # 0.9 is the most that has been seen, at 10,000 landmarks; 0.2 on smaller maps
+    tolerance: ClassVar[float] = 1.0  # the largest difference seen is 0.9, at 10,000 landmarks, and 0.2 on smaller maps
     defers: ClassVar[bool] = False
     grows: ClassVar[bool] = True
 
@@ -99,7 +99,7 @@ class Smoother:
         chosen = np.unique((at[at >= 3] - 3) // 2)
         P = self.covariance(chosen.tolist())
         turn = np.eye(len(P))
-        turn[:2, :2] = pose.rotation().matrix()  # GTSAM's pose errors are in the frame of the robot
+        turn[:2, :2] = pose.rotation().matrix()  # GTSAM expresses pose errors in the frame of the robot
         slots = (at[at >= 3] - 3) // 2
         rows = np.concatenate([at[at < 3], 3 + 2 * np.searchsorted(chosen, slots) + (at[at >= 3] - 3) % 2])
         x = np.concatenate([[pose.x(), pose.y(), pose.theta()], *places])
@@ -121,7 +121,7 @@ class Smoother:
 
 
 class Joint(Smoother):
-    """The same, and after each step the joint covariance of pose and map, which a filter has for free."""
+    """iSAM2, with the joint covariance of pose and map computed after each step. A filter has it at no cost."""
 
     def ready(self, begin: int, end: int) -> Callable[[], object]:
         """The factors of each step."""
@@ -138,8 +138,8 @@ class Joint(Smoother):
     def covariance(self, landmarks: list[int]) -> Array:
         """Joint covariance of the newest pose and some landmarks, in this order.
 
-        From the information of all variables in one dense factorisation. GTSAM's own call eliminates one variable
-        after the other: where there are few poses and the whole map is wanted, that takes 2 to 10 times as long.
+        It is computed from the information of all variables in one dense factorisation. GTSAM's own function eliminates
+        one variable at a time, which takes 2 to 10 times as long for few poses and the whole map.
         """
         wanted = {self._pose_key(self.last), *(self._landmark_key(i) for i in landmarks)}
         ordering, point = self.gtsam.Ordering(), self.isam.getLinearizationPoint()

@@ -1,4 +1,4 @@
-// MRPT's range-bearing EKF-SLAM, CRangeBearingKFSLAM2D, behind a few C functions.
+// C functions that call MRPT's range-bearing EKF-SLAM, CRangeBearingKFSLAM2D.
 
 #include <mrpt/obs/CActionCollection.h>
 #include <mrpt/obs/CActionRobotMovement2D.h>
@@ -20,7 +20,7 @@ using mrpt::obs::CSensoryFrame;
 
 class Filter : public mrpt::slam::CRangeBearingKFSLAM2D {
    public:
-    // Begin with a map that exists: state (D) and covariance (D, D), landmark i with the id i.
+    // Start with an existing map: state (D) and covariance (D, D), landmark i with the id i.
     void place(long D, const double *x, const double *P) {
         m_xkk.resize(D);
         m_pkk.setSize(D, D);
@@ -43,7 +43,7 @@ class Filter : public mrpt::slam::CRangeBearingKFSLAM2D {
     std::string complaint;
 };
 
-// The motion of one step in the robot's frame: an exact arc, with noise on speed and turn rate.
+// Motion of one step in the frame of the robot: an exact arc, with noise on speed and turn rate.
 CActionCollection::Ptr action(double v, double omega, double dt, const double *sigmas) {
     const double a = 0.5 * omega * dt, s2 = a * a;
     const bool small = std::fabs(a) < 1e-2;
@@ -77,7 +77,7 @@ extern "C" void *mrpt_new(long D, const double *x, const double *P, const double
 
 extern "C" void mrpt_free(void *filter) { delete static_cast<Filter *>(filter); }
 
-// Lay out steps begin ... end-1 in MRPT's form; `reach` is the largest range that occurs.
+// Convert the steps begin ... end-1 to MRPT's form. `reach` is the largest range that occurs.
 extern "C" void mrpt_prepare(void *handle, const double *u, const double *dt, const long *first, const long *ids,
                              const double *z, long begin, long end, const double *sigmas, double reach) {
     auto &filter = *static_cast<Filter *>(handle);
@@ -101,7 +101,7 @@ extern "C" void mrpt_prepare(void *handle, const double *u, const double *dt, co
     }
 }
 
-// Take the steps that are laid out. Returns what MRPT has to complain of, or null.
+// Take the converted steps. Returns the error message of MRPT, or null.
 extern "C" const char *mrpt_run(void *handle) {
     auto &filter = *static_cast<Filter *>(handle);
     try {

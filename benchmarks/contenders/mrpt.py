@@ -1,8 +1,7 @@
-"""MRPT's CRangeBearingKFSLAM2D, compiled against its headers where they are found.
+"""MRPT's CRangeBearingKFSLAM2D, if MRPT is installed (on Debian: apt install libmrpt-slam-dev).
 
-On Debian: apt install libmrpt-slam-dev. Only the calls are compiled here; the filter is in the library as it is
-packaged. MRPT_ROOT names the folder that holds include/mrpt and lib, /usr by default. Libraries of a folder that the
-system does not know of are found by LD_LIBRARY_PATH.
+Only the calls are compiled here; the filter is that of the packaged library. MRPT_ROOT is the folder with include/mrpt
+and lib, by default /usr. For libraries in a folder unknown to the system, set LD_LIBRARY_PATH.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ LIBRARIES = ("mrpt-slam", "mrpt-obs", "mrpt-poses", "mrpt-bayes", "mrpt-math")
 
 
 def _library() -> Any:
-    """mrpt.cpp with the types of its functions."""
+    """The library of mrpt.cpp with the types of its functions."""
     root = Path(os.environ.get("MRPT_ROOT", "/usr"))
     modules = sorted((root / "include" / "mrpt").glob("*/include"))
     found = next((root / "lib").glob("**/libmrpt-slam.so"), None)
@@ -54,15 +53,15 @@ def _library() -> Any:
 
 
 class Davison:
-    """Its fastest form, kfEKFAlaDavison: one scalar after the other, both triangles of the covariance.
+    """The fastest form, kfEKFAlaDavison: one scalar update at a time, on both triangles of the covariance.
 
-    Its models are slamkit's: the arc and its noise are handed to it as an odometry increment, the standard deviations
-    of the sensor as its options. Its update is another. It takes the Jacobians of all sightings before it corrects by
-    any, and both residuals of a sighting before it corrects by the first; and it keeps measurements in single
-    precision. An EKF that does these three things agrees with it to rounding (tests/test_contenders.py).
+    It has slamkit's models: the arc and its noise are passed as an odometry increment, the standard deviations of the
+    sensor as options. The update differs in three ways. It computes the Jacobians of all sightings before the
+    first update, it computes both residuals of a sighting before the first scalar update, and it stores measurements in
+    single precision. An EKF that does the same agrees with it to rounding (tests/test_contenders.py).
     """
 
-    tolerance: ClassVar[float] = 0.3  # 0.12 is the most that has been seen, at 2000 landmarks
+    tolerance: ClassVar[float] = 0.3  # the largest difference seen is 0.12, at 2000 landmarks
     defers: ClassVar[bool] = False
     grows: ClassVar[bool] = False
     method: ClassVar[int] = 1
@@ -70,19 +69,19 @@ class Davison:
     def __init__(self, work: Work) -> None:
         self.library, self.work = _library(), work
         self.sigmas = np.array([SIGMA_V, SIGMA_OMEGA, SIGMA_RANGE, SIGMA_BEARING])
-        # MRPT predicts all landmarks up to 15 m beyond the sensor's reach: give it the least that has the drive's.
+        # MRPT predicts all landmarks up to 15 m beyond the range of the sensor: use the longest range of the drive.
         self.reach = float(work.z[work.first[work.survey] :, 0].max())
         self.filter: Any = None
 
     def start(self) -> None:
-        """Take slamkit's map: how landmarks are started is not what is compared."""
+        """Copy slamkit's map: the initialisation of landmarks is not compared."""
         mapped = self.work.surveyed()
         if self.filter is not None:
             self.library.mrpt_free(self.filter)
         self.filter = self.library.mrpt_new(self.work.dim, mapped.x.copy(), mapped.P.copy(), self.sigmas, self.method)
 
     def ready(self, begin: int, end: int) -> Callable[[], object]:
-        """MRPT's actions and sensory frames."""
+        """Convert the steps to MRPT's actions and sensory frames."""
         work = self.work
         self.library.mrpt_prepare(
             self.filter, work.controls, work.dt, work.first, work.ids, work.z, begin, end, self.sigmas, self.reach

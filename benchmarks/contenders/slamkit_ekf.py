@@ -1,6 +1,6 @@
-"""slamkit's standard EKF, in the ways in which it can be called.
+"""slamkit's standard EKF, called in different ways.
 
-What is timed ends with a flush: nothing is left over that would have to be paid later.
+Each timed function ends with a flush, so that no deferred work is left.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from _workload import Array, IntArray, Work
 from contenders import ROUNDING
 from slamkit import Scan, Storage
 
-FLUSH_WORK = 2e8  #: multiply-adds that a step may spend on a flush where it is spread
+FLUSH_WORK = 2e8  #: multiply-adds of a spread flush per step
 
 
 class Run:
-    """`EKFSLAM.run`: merges the log by time, takes every step, and returns a history of all of it."""
+    """`EKFSLAM.run`: it merges the log by time, takes every step, and returns the history."""
 
     tolerance: ClassVar[float] = ROUNDING
     defers: ClassVar[bool] = True
@@ -35,11 +35,11 @@ class Run:
         self.filter = self.work.surveyed()
 
     def _drop(self) -> None:
-        """Let the filter before go, so that its memory does not count as the new one's."""
+        """Delete the previous filter, so that its memory is not counted."""
         vars(self).pop("filter", None)
 
     def ready(self, begin: int, end: int) -> Callable[[], object]:
-        """A log of the steps."""
+        """Convert the steps to a log."""
         log = self.work.log(begin, end)
 
         def go() -> None:
@@ -49,7 +49,7 @@ class Run:
         return go
 
     def joint(self, at: IntArray) -> tuple[Array, Array]:
-        """State and a block of P, without the whole of it."""
+        """State and a block of P, without unfolding the whole P."""
         slots = at[at >= 3] - 3
         mean_slots, inverse = np.unique(slots // 2, return_inverse=True)
         _, block = self.filter.marginal(mean_slots.tolist(), pose=True)
@@ -72,7 +72,7 @@ class Step(Run):
         return go
 
     def times(self, begin: int, end: int) -> Array:
-        """Seconds (end - begin,) that each step takes."""
+        """Time of each step (end - begin,) [s]."""
         step, arguments = self.filter.step, self._arguments(begin, end)
         marks = [perf_counter()]
         for u, dt, scan in arguments:
@@ -86,7 +86,7 @@ class Step(Run):
 
 
 class Spread(Step):
-    """`EKFSLAM.step` with a bound on the work of a step: a flush is spread over as many as it needs."""
+    """`EKFSLAM.step` with a bound on the work of a step: a flush is spread over several steps."""
 
     def start(self) -> None:
         """Map the landmarks."""
@@ -95,9 +95,9 @@ class Spread(Step):
 
 
 class Read(Step):
-    """`EKFSLAM.step`, and the whole of P read after each."""
+    """`EKFSLAM.step`, with the whole P read after each step."""
 
-    held: ClassVar[int] = 0  #: how many of them are held on to
+    held: ClassVar[int] = 0  #: number of earlier P that stay referenced
 
     def ready(self, begin: int, end: int) -> Callable[[], object]:
         """The arguments of each step."""
@@ -113,13 +113,13 @@ class Read(Step):
 
 
 class Hold(Read):
-    """The same, where one P is held until the next has been read."""
+    """`EKFSLAM.step` with P read after each step, where each P stays referenced until the next one is read."""
 
     held: ClassVar[int] = 1
 
 
 class Calls(Step):
-    """`EKFSLAM.predict`, then `observe` for one sighting after the other."""
+    """`EKFSLAM.predict`, then `EKFSLAM.observe` for each sighting."""
 
     def ready(self, begin: int, end: int) -> Callable[[], object]:
         """The arguments of each call."""

@@ -1,7 +1,7 @@
-// EKF-SLAM as one would write it by hand: range and bearing, known ids, one triangle of the covariance.
+// Hand-written EKF-SLAM: range and bearing, known ids, one triangle of the covariance.
 //
-// P is the lower triangle, row-major with rows of length `ld`; what stands above the diagonal is never touched.
-// Prediction concerns the pose's columns only, O(D); each sighting is a symmetric rank-2 downdate, O(D^2).
+// P is the lower triangle, row-major with rows of length `ld`; entries above the diagonal are never touched.
+// A prediction changes only the columns of the pose, O(D); each sighting is a symmetric rank-2 downdate, O(D^2).
 
 #include <cmath>
 
@@ -52,12 +52,12 @@ void predict(Filter &f, double v, double omega, double dt, const Noise &noise) {
     p2[2] = p22 + q(2, 2);
 }
 
-// Correct by one sighting of the landmark whose coordinates begin at l.
+// Update by one sighting of the landmark whose coordinates begin at l.
 void update(Filter &f, long l, double range, double bearing, const Noise &noise) {
     double *__restrict w0 = f.w0, *__restrict w1 = f.w1;
     const double dx = f.x[l] - f.x[0], dy = f.x[l + 1] - f.x[1];
     const double q = dx * dx + dy * dy, r = std::sqrt(q);
-    const double a0 = dx / r, b0 = dy / r, a1 = -dy / q, b1 = dx / q;  // on the landmark; on the position their negatives
+    const double a0 = dx / r, b0 = dy / r, a1 = -dy / q, b1 = dx / q;  // by the landmark; negative by the position
     const double *p0 = f.row(0), *p1 = f.row(1), *p2 = f.row(2), *l0 = f.row(l), *l1 = f.row(l + 1);
     const auto set = [&](long i, double px, double py, double pt, double lx, double ly) {
         w0[i] = a0 * (lx - px) + b0 * (ly - py);
@@ -122,8 +122,8 @@ void augment(Filter &f, double range, double bearing, const Noise &noise) {
 
 }  // namespace
 
-// Steps begin ... end-1: step k is the control u[k] held over dt[k], then the sightings first[k] ... first[k+1]-1.
-// A sighting of the slot that is the present length of the state appends that landmark. Returns the length after it.
+// Take the steps begin ... end-1. Step k applies u[k] for dt[k], then the sightings first[k] ... first[k+1]-1.
+// A sighting whose slot is the present length of the state appends a landmark. Returns the final length of the state.
 extern "C" long triangle_run(double *x, double *P, long ld, long D, double *scratch, const double *u, const double *dt,
                              const long *first, const long *slot, const double *z, long begin, long end,
                              const double *sigmas) {
@@ -141,7 +141,7 @@ extern "C" long triangle_run(double *x, double *P, long ld, long D, double *scra
     return f.D;
 }
 
-// Read and write the lower triangle once: what any filter pays that touches all of P.
+// Read and write the lower triangle once: the least cost of a filter that touches all of P.
 extern "C" void triangle_pass(double *P, long ld, long D, double factor) {
     for (long i = 0; i < D; ++i) {
         double *p = P + i * ld;

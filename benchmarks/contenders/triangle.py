@@ -1,4 +1,4 @@
-"""The fair peer: a filter written by hand in C++, which takes a whole log in one call."""
+"""The filter that all others are compared with: hand-written C++ that processes a whole log in one call."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from contenders._build import library
 
 
 def _library() -> Any:
-    """triangle.cpp with the types of its functions."""
+    """The library of triangle.cpp with the types of its functions."""
     made = library("triangle.cpp")
     doubles, longs = ndpointer(np.float64, flags="C"), ndpointer(np.int64, flags="C")
     made.triangle_run.restype = c_long
@@ -28,7 +28,7 @@ def _library() -> Any:
 
 
 class Triangle:
-    """The lower triangle, rows contiguous; every sighting a rank-2 downdate of it."""
+    """EKF on the lower triangle of P with contiguous rows. Every sighting is a rank-2 downdate."""
 
     tolerance: ClassVar[float] = ROUNDING
     defers: ClassVar[bool] = False
@@ -63,7 +63,7 @@ class Triangle:
 
 
 class Passes:
-    """The floor under every filter that touches all of P in a step: its triangle read and written once."""
+    """Lower bound of every filter that touches all of P in a step: the triangle is read and written once."""
 
     def __init__(self, dim: int) -> None:
         self.library, self.P = _library(), np.ones((dim, dim))

@@ -4,43 +4,44 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from slamkit.arrays import Array
 from slamkit.errors import InputError
-from slamkit.evaluate import trajectory
-from slamkit.evaluate.trajectory import Evaluation
-from slamkit.logs import History, Log, PathLike, replacing
+from slamkit.evaluate.dead_reckoning import dead_reckoning
+from slamkit.evaluate.trajectory import Evaluation, evaluate
+from slamkit.logs import History, Log, PathLike, replacing, write_files
 from slamkit.protocols import MotionModel
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
+__all__ = ["Assessment", "RunSummary", "assess", "summarise", "write_figure", "write_json", "write_run"]
 
 
-class Summary(TypedDict):
-    """A run in numbers, as JSON can hold them: None where there is no truth, or nothing to average."""
+class RunSummary(TypedDict):
+    """A run in numbers that JSON can hold: None where there is no truth, or nothing to average."""
 
     filter: str  #: the estimator's command-line name
     steps: int  #: steps of the log's schedule that were run
     observations: int  #: sightings in these steps
-    rejected: int  #: of these, refused by the gate
+    rejected: int  #: of these, rejected by the gate
     landmarks: int  #: landmarks in the final map
-    ate_m: float | None  #: absolute trajectory error, aligned [m]
-    dead_reckoning_ate_m: float | None  #: the same of the motion model alone, with an alignment of its own [m]
-    landmark_rmse_m: float | None  #: root mean square error of the landmarks, with the trajectory's alignment [m]
-    heading_rmse_deg: float | None  #: likewise of the heading [°]
-    nis_mean: float | None  #: mean NIS of the sightings that corrected the belief
-    nis_dof_mean: float | None  #: mean degrees of freedom of these: what nis_mean is for a consistent filter
+    ate_m: float | None  #: absolute trajectory error, aligned [m]; None for fewer than three matched poses
+    dead_reckoning_ate_m: float | None  #: absolute trajectory error of the motion model alone, aligned by itself [m]
+    landmark_rmse_m: float | None  #: root mean square error of the landmarks, see :func:`slamkit.evaluate.evaluate` [m]
+    heading_rmse_deg: float | None  #: root mean square error of the heading, with the trajectory's alignment [°]
+    matched: int  #: poses with a truth: the evidence behind ate_m and heading_rmse_deg
+    nis_mean: float | None  #: mean NIS of the sightings that updated the belief
+    nis_dof_mean: float | None  #: mean degrees of freedom of these: the mean NIS of a consistent filter
     seconds: float | None  #: wall-clock time of the run [s]
 
 
@@ -54,12 +55,12 @@ class Assessment:
     dead_reckoning_evaluation: Evaluation
 
     @property
-    def summary(self) -> Summary:
+    def summary(self) -> RunSummary:
         """The run in numbers."""
         history = self.history
-        corrected = history.accepted & np.isfinite(history.nis)
-        any_corrected = bool(corrected.any())
-        return Summary(
+        updated = history.accepted & np.isfinite(history.nis)
+        any_updated = bool(updated.any())
+        return RunSummary(
             filter=history.filter,
             steps=len(history.times),
             observations=len(history.nis),
@@ -69,13 +70,14 @@ class Assessment:
             dead_reckoning_ate_m=_finite(self.dead_reckoning_evaluation.ate_m),
             landmark_rmse_m=_finite(self.evaluation.landmark_rmse_m),
             heading_rmse_deg=_finite(self.evaluation.heading_rmse_deg),
-            nis_mean=_finite(history.nis[corrected].mean()) if any_corrected else None,
-            nis_dof_mean=float(history.dof) if any_corrected else None,
+            matched=self.evaluation.matched,
+            nis_mean=_finite(history.nis[updated].mean()) if any_updated else None,
+            nis_dof_mean=float(history.dof) if any_updated else None,
             seconds=_finite(history.seconds),
         )
 
     def overview(self, log: Log, title: str | None = None) -> Figure:
-        """The figure of :func:`slamkit.plots.overview`, in the frame of the truth where there is one."""
+        """Draw the figure of :func:`slamkit.plots.overview`, in the frame of the truth where there is one."""
         from slamkit import plots
 
         return plots.overview(self.history, log, self.dead_reckoning, alignment=self.evaluation.alignment, title=title)
@@ -84,7 +86,7 @@ class Assessment:
 def assess(
     history: History, log: Log, motion: MotionModel, pose: ArrayLike = (0.0, 0.0, 0.0), *, max_gap: float = 0.1
 ) -> Assessment:
-    """Judge a run by the truth of its log, and by where the motion model alone would have led.
+    """Compare a run with the truth of its log, and with dead reckoning.
 
     Parameters
     ----------
@@ -101,7 +103,7 @@ def assess(
     Returns
     -------
     Assessment
-        Trajectory and dead reckoning are each aligned with the truth, see :func:`slamkit.evaluate.trajectory.evaluate`.
+        Trajectory and dead reckoning are each aligned with the truth, see :func:`slamkit.evaluate.evaluate`.
 
     Raises
     ------
@@ -110,49 +112,49 @@ def assess(
     ModelError
         The motion model gave a pose that is not finite.
     """
-    times, poses = trajectory.dead_reckoning(log, motion, pose)
+    times, poses = dead_reckoning(log, motion, pose)
     K = len(history.times)
     if not np.array_equal(history.times, times[:K]):
         raise InputError(f"the history's {K} steps are not the first of the log's {len(times)}: it is of another log")
     landmarks = dict(zip(history.landmark_ids, history.landmarks, strict=True))
     return Assessment(
         history=history,
-        evaluation=trajectory.evaluate(history.times, history.poses, log.truth, landmarks, max_gap=max_gap),
+        evaluation=evaluate(history.times, history.poses, log.truth, landmarks, max_gap=max_gap),
         dead_reckoning=(times[:K], poses[:K]),
-        dead_reckoning_evaluation=trajectory.evaluate(times[:K], poses[:K], log.truth, max_gap=max_gap),
+        dead_reckoning_evaluation=evaluate(times[:K], poses[:K], log.truth, max_gap=max_gap),
     )
 
 
 def summarise(
     history: History, log: Log, motion: MotionModel, pose: ArrayLike = (0.0, 0.0, 0.0), *, max_gap: float = 0.1
-) -> Summary:
-    """A run in numbers: ``assess(...).summary``.
+) -> RunSummary:
+    """Give a run in numbers: ``assess(...).summary``.
 
     Parameters and errors are those of :func:`assess`.
 
     Returns
     -------
-    Summary
+    RunSummary
         A dict that JSON can hold.
     """
     return assess(history, log, motion, pose, max_gap=max_gap).summary
 
 
-def write_json(path: PathLike, facts: Summary | Mapping[str, Any]) -> None:
-    """Write facts as JSON, one a line; a file that is there is replaced once the new one is complete.
+def write_json(path: PathLike, facts: RunSummary | Mapping[str, Any]) -> None:
+    """Write facts as JSON, one a line. An existing file is replaced once the new one is complete.
 
     Raises
     ------
-    ValueError
-        A number is not finite: JSON knows neither NaN nor infinity.
+    InputError
+        A value is not finite (JSON has neither NaN nor infinity), or is of a type that JSON does not have.
     """
-    lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(value, allow_nan=False)}" for name, value in facts.items())
+    lines = ",\n".join(f"  {json.dumps(name)}: {_json(name, value)}" for name, value in facts.items())
     with replacing(path) as file:
         file.write(f"{{\n{lines}\n}}\n".encode())
 
 
 def write_figure(path: PathLike, figure: Figure, dpi: float = 200.0) -> None:
-    """Write a figure; a file that is there is replaced once the new one is complete.
+    """Write a figure. An existing file is replaced once the new one is complete.
 
     Parameters
     ----------
@@ -160,7 +162,7 @@ def write_figure(path: PathLike, figure: Figure, dpi: float = 200.0) -> None:
         Ends in .png, .pdf or .svg.
     figure : Figure
     dpi : float
-        Dots an inch.
+        Dots per inch.
 
     Raises
     ------
@@ -174,7 +176,7 @@ def write_figure(path: PathLike, figure: Figure, dpi: float = 200.0) -> None:
 
 
 def write_run(folder: PathLike, assessment: Assessment, log: Log, title: str | None = None) -> None:
-    """Write everything about a run into a folder, which is made where it does not exist.
+    """Write everything about a run into a folder, all files or none. The folder is made if it does not exist.
 
     Parameters
     ----------
@@ -187,18 +189,20 @@ def write_run(folder: PathLike, assessment: Assessment, log: Log, title: str | N
     title : str, optional
         Of the figure.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / "summary.json", assessment.summary)
-    assessment.history.write_tum(folder / "trajectory.txt")
-    assessment.history.write_csv(folder)
-    assessment.history.save(folder / "history.npz")
-    write_figure(folder / "overview.png", assessment.overview(log, title))
+    with tempfile.TemporaryDirectory() as temporary:
+        staged = Path(temporary)
+        write_json(staged / "summary.json", assessment.summary)
+        assessment.history.write_tum(staged / "trajectory.txt")
+        assessment.history.write_csv(staged)
+        assessment.history.save(staged / "history.npz")
+        write_figure(staged / "overview.png", assessment.overview(log, title))
+        contents = {file.name: file.read_bytes() for file in staged.iterdir()}
+    write_files(folder, contents)
 
 
 @contextmanager
 def _replaced_by_name(target: Path) -> Iterator[Path]:
-    """A path with the same ending, whose file takes the target's place at the end."""
+    """Give a path with the same ending as `target`. At the end its file replaces the target."""
     temporary = target.with_name(f".{target.stem}.{os.urandom(8).hex()}{target.suffix}")
     try:
         yield temporary
@@ -207,6 +211,13 @@ def _replaced_by_name(target: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def _json(name: str, value: Any) -> str:
+    try:
+        return json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} cannot be written as JSON: {error}") from None
+
+
 def _finite(value: float | None) -> float | None:
-    """The number, or None where JSON has none for it."""
+    """The number, or None if it is not finite."""
     return None if value is None or not np.isfinite(value) else float(value)

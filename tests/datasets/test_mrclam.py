@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from slamkit import EKFSLAM
 from slamkit.datasets import mrclam
 from slamkit.errors import InputError, LogFileError
-from slamkit.evaluate.trajectory import dead_reckoning, evaluate
+from slamkit.evaluate import dead_reckoning, evaluate
 from slamkit.logs import Log
 
 START = 1248272272.841  # a Unix time: its milliseconds are near the last digits of a double

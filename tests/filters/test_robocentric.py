@@ -17,8 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamkit import EKFSLAM, InputError, RobocentricEKFSLAM, simulate
-from slamkit.evaluate import gauge
-from slamkit.evaluate.consistency import pose_nees
+from slamkit.evaluate import gauge, pose_nees
 from slamkit.filters.robocentric import compose
 from slamkit.models import RangeBearing, RelativePosition, Unicycle
 from slamkit.se2 import wrap

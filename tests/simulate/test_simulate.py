@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from slamkit.errors import InputError, ModelError
-from slamkit.evaluate.trajectory import dead_reckoning
+from slamkit.evaluate import dead_reckoning
 from slamkit.logs import Log
 from slamkit.models import EulerUnicycle, Odometry, RangeBearing, RelativePosition, Unicycle
 from slamkit.se2 import wrap
@@ -330,7 +330,7 @@ def test_a_robot_on_a_landmark_or_in_an_empty_world_sees_nothing() -> None:
 
 
 def test_the_lesson_world_is_the_lessons() -> None:
-    demo = json.loads(Path(__file__).with_name("lesson_demo.json").read_text())
+    demo = json.loads((Path(__file__).parents[1] / "lesson_demo.json").read_text())
     world = lesson_world()
     assert list(world.landmarks) == [0, 1, 2]
     np.testing.assert_array_equal(list(world.landmarks.values()), demo["landmarks"])
@@ -491,3 +491,36 @@ def test_a_model_that_leaves_the_finite_is_named() -> None:
     world = small_world(motion=Breaking(), sensor=Linear(), controls=[[0, 0, 0], [0, 0, 0], [2, 0, 0], [0, 0, 0]])
     with pytest.raises(ModelError, match=r"not finite in step 2"):
         simulate(world, np.random.default_rng(0))
+
+
+# ---- what a world says of itself, and the list of worlds ----
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_world_describes_itself_in_one_short_line_and_one_table(name: str) -> None:
+    world = WORLDS[name]()
+    assert repr(world).startswith(f"World({world.name!r}: {len(world.landmarks)} landmarks")
+    assert len(repr(world)) < 120 and "\n" not in repr(world) and "array" not in repr(world)
+    html = world._repr_html_()
+    assert html.startswith("<table>") and html.endswith("</table>") and type(world.motion).__name__ in html
+    assert "<b>" not in replace(world, name="<b>")._repr_html_()
+
+
+@pytest.mark.parametrize("what", ["motion", "sensor"])
+def test_a_model_class_in_place_of_an_instance_is_refused(what: str) -> None:
+    given = {"motion": Unicycle, "sensor": RangeBearing}[what]
+    with pytest.raises(InputError, match=rf"{what} is the class {given.__name__}, expected an instance"):
+        replace(WORLDS["lesson"](), **{what: given})
+
+
+def test_a_world_of_ones_own_is_found_by_name_and_by_module(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, register: Any
+) -> None:
+    (tmp_path / "my_yard.py").write_text("from slamkit.simulate import lesson_world\nyard = lesson_world\nsize = 3\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert WORLDS.find("my_yard:yard") is WORLDS["lesson"]
+    with pytest.raises(InputError, match=r"expected|must be a slamkit\.World.*3"):
+        WORLDS.find("my_yard:size")
+    register(WORLDS, "yard", WORLDS["lesson"])
+    assert WORLDS.find("yard") is WORLDS["lesson"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -54,10 +55,14 @@ class Twin(Polar):
 
 
 @pytest.fixture(autouse=True)
-def _separate_lists(monkeypatch: pytest.MonkeyPatch) -> None:
+def _separate_lists() -> Iterator[None]:
     """What a test registers is gone after it."""
-    for registry in (MOTIONS, SENSORS):
-        monkeypatch.setattr(registry, "_items", dict(registry._items))
+    lists = (MOTIONS, SENSORS)
+    before = [dict(registry) for registry in lists]
+    yield
+    for registry, items in zip(lists, before, strict=True):
+        for name in registry.keys() - items:
+            registry.unregister(name)
 
 
 def through_json(model: object) -> Any:

@@ -1,4 +1,4 @@
-"""Laws of the accuracy metrics."""
+"""Laws of the accuracy of trajectories and maps."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
 
 from slamkit import logs, se2
-from slamkit.errors import InputError, ModelError
-from slamkit.evaluate.trajectory import Evaluation, align, dead_reckoning, evaluate, nearest, relative_error
-from slamkit.models import Odometry, Unicycle
+from slamkit.errors import InputError
+from slamkit.evaluate.trajectory import Evaluation, align, evaluate, nearest, relative_error
 
 Array = NDArray[np.float64]
 
@@ -273,11 +272,70 @@ def test_where_there_is_no_truth_there_is_no_number(truth: logs.Truth | None) ->
     assert known == (None if truth is None else 5.0)
 
 
+def test_no_error_is_given_for_fewer_than_three_matched_poses() -> None:
+    """The estimate drives east and the robot drove north: two matches hide that, and one hides everything."""
+    t = np.arange(20.0)
+    east, north = np.column_stack([t, 0 * t, 0 * t]), np.column_stack([0 * t, t, 0 * t + np.pi / 2])
+    for n in (1, 2):
+        e = evaluate(t, east, Truth(t[:n], north[:n], {"a": (0.0, 1.0)}), {"a": (1.0, 0.0)})
+        assert (e.ate_m, e.heading_rmse_deg, e.landmark_rmse_m) == (None, None, None)
+        assert (e.matched, e.matched_landmarks, e.aligned_by) == (n, 1, None)
+        known = evaluate(t, east, Truth(t[:n], north[:n]), aligned=False)
+        assert known.heading_rmse_deg == pytest.approx(90)
+        assert known.ate_m == pytest.approx([0, 1][n - 1])
+    whole = evaluate(t, east, Truth(t[:3], north[:3], {"a": (0.0, 1.0)}), {"a": (1.0, 0.0)})
+    assert (whole.matched, whole.aligned_by) == (3, "poses")
+    assert fields(whole)[:3] == pytest.approx([0, 0, 0], abs=1e-9)
+
+
 def test_one_true_pose_aligns_positions_only() -> None:
     times, poses = trajectory(0)
     e = evaluate(times, poses + np.array([1, 2, 0.3]), Truth(times[:1], poses[:1]))
-    assert e.ate_m == pytest.approx(0, abs=1e-12)
-    assert e.heading_rmse_deg == pytest.approx(np.rad2deg(0.3))
+    np.testing.assert_allclose(e.alignment, [-1, -2, 0], atol=1e-12)
+    np.testing.assert_allclose(e.poses[:, :2], poses[:, :2], atol=1e-12)
+    np.testing.assert_allclose(e.poses[0, 2], se2.wrap(poses[0, 2] + 0.3), atol=1e-12)
+
+
+@pytest.mark.parametrize("moves", [(False, False), (True, False), (False, True)])
+def test_a_robot_that_stands_still_gives_no_heading_error(moves: tuple[bool, bool]) -> None:
+    times, poses = trajectory(0)
+    still = np.tile([1.0, 2.0, 0.3], (40, 1))
+    estimate, truth = (poses if m else still for m in moves)
+    e = evaluate(times, estimate, Truth(times, truth, {"a": (0.0, 1.0)}), {"a": (1.0, 0.0)})
+    assert (e.heading_rmse_deg, e.landmark_rmse_m, e.matched, e.aligned_by) == (None, None, 40, None)
+    assert e.ate_m == pytest.approx(np.sqrt(np.var(poses[:, :2], axis=0).sum()) if any(moves) else 0)
+
+
+@pytest.mark.parametrize("matched", [0, 1, 2])
+@given(seed=seeds, motion=motions)
+def test_a_map_with_a_truth_is_scored_where_the_path_has_too_little(matched: int, seed: int, motion: Array) -> None:
+    times, poses = trajectory(seed)
+    places = {i: poses[i, :2] + i for i in range(5)}
+    truth = Truth(times[:matched], poses[:matched], places)
+    copy = {i: se2.transform(motion, p) for i, p in places.items()}
+    e = evaluate(times, se2.compose(motion, poses), truth, copy)
+    assert e.landmark_rmse_m == pytest.approx(0, abs=1e-9)
+    assert (e.ate_m, e.heading_rmse_deg, e.matched, e.matched_landmarks) == (None, None, matched, 5)
+    assert e.aligned_by == "landmarks"
+    np.testing.assert_allclose(e.poses[:, :2], poses[:, :2], atol=1e-9)
+    offset = copy | {0: copy[0] + np.array([0.1, 0.0])}
+    found = evaluate(times, poses, truth, offset).landmark_rmse_m
+    # The alignment takes up less than half of what one of five landmarks is off.
+    assert found is not None and 0.02 < found < 0.1 / np.sqrt(5)
+
+
+def test_two_landmarks_do_not_score_a_map() -> None:
+    truth = Truth([], [], {"a": (0.0, 0.0), "b": (1.0, 0.0)})
+    e = evaluate([], [], truth, {"a": (5.0, 0.0), "b": (7.0, 0.0), "c": (0.0, 0.0)})
+    assert (e.landmark_rmse_m, e.matched_landmarks, e.aligned_by) == (None, 2, None)
+
+
+def test_where_the_path_suffices_the_map_does_not_choose_the_alignment() -> None:
+    times, poses = trajectory(3)
+    places = {i: poses[i, :2] for i in range(5)}
+    off = {i: p + np.array([1.0, 0.0]) for i, p in places.items()}
+    e = evaluate(times, poses, Truth(times, poses, places), off)
+    assert e.aligned_by == "poses" and e.landmark_rmse_m == pytest.approx(1.0)
 
 
 # relative_error
@@ -344,49 +402,6 @@ def test_a_stretch_has_one_positive_length(wrong: dict[str, float]) -> None:
         relative_error(times, poses, Truth(times, poses), **wrong)
 
 
-# dead_reckoning
-
-
-def test_dead_reckoning_is_the_motion_model_step_by_step() -> None:
-    rng = np.random.default_rng(0)
-    u = rng.normal(size=(30, 2))
-    motion = Unicycle(0.1, 0.1)
-    log = Log(np.arange(30.0), u, [3.4, 3.4, 8.0], np.array([0, 1, 0]), np.ones((3, 2)), ("a", "b"), end_time=30.0)
-    times, poses = dead_reckoning(log, motion, (1.0, 2.0, 3.0))
-    np.testing.assert_array_equal(times, log.schedule.times)
-    assert poses.shape == (len(log), 3)
-    pose = np.array([1.0, 2.0, 3.0])
-    for k in range(30):
-        pose = motion.move(pose, u[k], 1.0)
-        error = poses[times == k + 1][0] - pose
-        assert np.abs([*error[:2], se2.wrap(error[2])]).max() < 1e-9
-    assert 3.4 in times
-    assert np.all((poses[:, 2] >= -np.pi) & (poses[:, 2] < np.pi))
-
-
-def test_without_controls_the_robot_stays() -> None:
-    log = Log(np.empty(0), np.empty((0, 2)), [1.0, 2.0], np.array([0, 0]), np.ones((2, 2)), ("a",))
-    times, poses = dead_reckoning(log, Unicycle(0.1, 0.1), (1.0, 2.0, 0.5))
-    assert times.tolist() == [1.0, 2.0]
-    assert poses.tolist() == [[1.0, 2.0, 0.5]] * 2
-
-
-def test_increments_are_whole() -> None:
-    log = Log([0.0, 1.0], [[0.0, 1.0, 0.5], [0.0, 1.0, 0.0]], [0.3], np.array([0]), [[1.0, 0.0]], ("a",), 2.0, True)
-    _, poses = dead_reckoning(log, Odometry(0.1, 0.1, 0.1, 0.1))
-    np.testing.assert_allclose(poses, [[1, 0, 0.5], [1 + np.cos(0.5), np.sin(0.5), 0.5]], atol=1e-12)
-
-
-def test_a_model_that_leaves_the_finite_is_named() -> None:
-    class Breaking(Unicycle):
-        def move(self, *_: Any) -> Array:
-            return np.full(3, np.nan)
-
-    log = Log([0.0], [[0.0, 1.0]], [], np.empty(0, dtype=np.int64), np.empty((0, 2)), (), end_time=2.0)
-    with pytest.raises(ModelError, match="not finite at 2"):
-        dead_reckoning(log, Breaking(0.1, 0.1))
-
-
 # bad input
 
 shaped = array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4).flatmap(
@@ -444,3 +459,19 @@ def test_what_is_not_finite_is_refused_with_its_place(bad: float) -> None:
         nearest(times, times, -1.0)
     with pytest.raises(InputError, match="numbers"):
         align("north", poses[:, :2])
+
+
+def test_complex_values_are_refused() -> None:
+    times, poses = trajectory(0)
+    truth = Truth(times, poses)
+    for call in (
+        lambda: nearest(times * 1j, times, 1.0),
+        lambda: align(poses[:, :2], poses[:, :2] * 1j),
+        lambda: evaluate(times, poses * (1 + 0j), truth),
+        lambda: relative_error(times, poses * 1j, truth, seconds=1.0),
+        lambda: evaluate(times, poses, truth, {"a": [1j, 0.0]}),
+        lambda: evaluate(times, poses, truth, max_gap="a"),  # type: ignore[arg-type]
+        lambda: relative_error(times, poses, truth, seconds=10**400),
+    ):
+        with pytest.raises(InputError):
+            call()

@@ -1,0 +1,5 @@
+"""``python -m slamkit.cli`` is the command ``slamkit``."""
+
+from slamkit.cli.app import main
+
+main()
