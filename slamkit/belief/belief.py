@@ -239,19 +239,6 @@ class Belief(Compressed):
             out[:, : self._whole_w.shape[1]] = self._whole_w
         return out
 
-    def _gain_rows(self, M: Array) -> Array:
-        """`gain_rows` from what is active, and from M = P⁰[:, A₀] (D, C) for what was not at the last update."""
-        s, rows, D = self.state, int(self.state.last.rows), int(self.state.last.active)
-        out = np.asarray(s.last.g[:rows, : M.shape[1]] @ M.T) if M.shape[1] else np.zeros((rows, len(M)))
-        out[:, s.last.dim :] = 0.0
-        out[:, s.belief.owner[:D]] = s.last.w[:rows, :D]
-        return out
-
-    def _keep_gain(self, M: Array) -> None:
-        """Before the active part changes hands: what `gain_rows` would no longer find in it."""
-        if self.state.last.active >= 0 and self.state.last.rows > 0:
-            self._whole_w, self.state.last.active = self._gain_rows(M), -1
-
     def augment(self, block_id: Hashable, mean: ArrayLike, G: ArrayLike, noise: ArrayLike) -> None:
         """Append a block: P_ls = G P_xs, P_ll = G P_xx Gᵀ + noise, G (2, 3) on the base's first three."""
         if block_id in self.slots:

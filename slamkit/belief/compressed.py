@@ -263,6 +263,19 @@ class Compressed(Room):
             for name, array in grown.items():
                 setattr(s.resting, name, array)
 
+    def _gain_rows(self, M: Array) -> Array:
+        """`gain_rows` from what is active, and from M = P⁰[:, A₀] (D, C) for what was not at the last update."""
+        s, rows, D = self.state, int(self.state.last.rows), int(self.state.last.active)
+        out = np.asarray(s.last.g[:rows, : M.shape[1]] @ M.T) if M.shape[1] else np.zeros((rows, len(M)))
+        out[:, s.last.dim :] = 0.0
+        out[:, s.belief.owner[:D]] = s.last.w[:rows, :D]
+        return out
+
+    def _keep_gain(self, M: Array) -> None:
+        """Before the active part changes hands: what `gain_rows` would no longer find in it."""
+        if self.state.last.active >= 0 and self.state.last.rows > 0:
+            self._whole_w, self.state.last.active = self._gain_rows(M), -1
+
     def _correct_rows(self, work: float | None) -> None:
         """P_bb ← P_bb - Mᵀ Ψ M, panel by panel from ``state.resting.corrected`` on, until the work is spent."""
         s = self.state
@@ -297,6 +310,7 @@ class Compressed(Room):
         s = self.state
         rows = self._entries(at, s.resting.activated[: s.resting.columns])
         to_map_coordinates(s, rows.reshape(-1, rows.shape[-1]))
+        return rows
 
 
 @contextmanager

@@ -26,6 +26,7 @@ What distinguishes an estimator stands in its policy:
 
 from __future__ import annotations
 
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -71,7 +72,7 @@ class Policy(Shared):
     def __init__(self, functions: EstimatorFunctions, *, gate: float, iterations: int, batch: bool) -> None:
         super().__init__(POLICY, **functions._asdict(), step=step, gate=gate, iterations=iterations, batch=batch)
 
-    @property
+    @cached_property
     def plain(self) -> SimpleNamespace:
         """The same policy with the Python forms of its functions."""
         forms = {n: v.plain if isinstance(v, Compiled) and v.generic else v for n, v in self.values.items()}

@@ -61,7 +61,7 @@ def commit_update(policy: Any, state: Any, n: int, k: int) -> int:
 
 
 @compiled("flag(state, index)")
-def variances_hold(state: Any, n: int) -> bool:
+def variances_hold(state: Any, n: int) -> Any:
     """Whether no variance that an update of n sightings has reduced is below zero, but for rounding."""
     cov, slots = state.belief.cov, state.scratch.slots
     definite = cov[0, 0] >= -TINY and cov[1, 1] >= -TINY and cov[2, 2] >= -TINY

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from math import exp, log, pi, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +25,7 @@ class FilterpyAttributes(Assignable):
 
     if TYPE_CHECKING:
         _belief: Belief
-        base: int
+        base: ClassVar[int]
         sensor: Any
         snapshots: bool
 

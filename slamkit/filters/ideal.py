@@ -17,7 +17,7 @@ from slamkit.cycle.standard import motion_noise
 from slamkit.cycle.standard import sensor as standard_sensor
 from slamkit.errors import InputError, SlamkitError
 from slamkit.filters.ekf import EKFSLAM
-from slamkit.filters.landmark_filter import Progress
+from slamkit.filters.running import Progress
 from slamkit.logs import History, Log, Schedule, Truth, decode_id, encode_id
 from slamkit.protocols import MotionModel, SensorModel
 

@@ -10,7 +10,7 @@ import numpy as np
 from slamkit.arrays import Array
 from slamkit.compiled import Models, models_of
 from slamkit.errors import ModelError
-from slamkit.protocols import MotionFunctions, MotionModel, SensorFunctions, SensorModel
+from slamkit.protocols import METHODS, MotionFunctions, MotionModel, SensorFunctions, SensorModel
 
 
 def adapt(motion: MotionModel, sensor: SensorModel, R: Array) -> Models:
@@ -18,11 +18,9 @@ def adapt(motion: MotionModel, sensor: SensorModel, R: Array) -> Models:
     motion_functions, sensor_functions = getattr(motion, "functions", None), getattr(sensor, "functions", None)
     both = motion_functions is not None and sensor_functions is not None
     if motion_functions is None:
-        methods = ("move", "jacobians", "control_noise", "pose_noise")
-        motion_functions = MotionFunctions(*(_filling(motion, name) for name in methods))
+        motion_functions = MotionFunctions(*(_filling(motion, name) for name in METHODS[MotionModel]))
     if sensor_functions is None:
-        methods = ("predict", "jacobians", "residual", "invert", "inverse_jacobians")
-        sensor_functions = SensorFunctions(*(_filling(sensor, name) for name in methods))
+        sensor_functions = SensorFunctions(*(_filling(sensor, name) for name in METHODS[SensorModel]))
     moving, seeing = (
         np.ascontiguousarray(getattr(model, "params", np.empty(0)), dtype=float) for model in (motion, sensor)
     )

@@ -27,7 +27,6 @@ from slamkit.belief.compressed import _half
 from slamkit.belief.lent import LentMatrix
 from slamkit.belief.packed import PANEL
 from slamkit.compiled import (
-    LEAD,
     TILE,
     UNROLLED,
     aligned,
@@ -622,7 +621,10 @@ def test_a_file_whose_arrays_do_not_fit(tmp_path: Path) -> None:
 def test_bad_input_leaves_a_compressed_filter(name: str, storage: str) -> None:
     """Also what it asked of landmarks that rest: they may become active, and are what they were."""
     f = grown(name, storage)
-    here, resting = f.landmark_ids[-1], next(i for i, s in f._belief.slots.items() if f._belief.state.belief.local[s] < 0)
+    here, resting = (
+        f.landmark_ids[-1],
+        next(i for i, s in f._belief.slots.items() if f._belief.state.belief.local[s] < 0),
+    )
     u, good = (1.0, 0.1), (2.0, 0.1)
     scans: list[Any] = [
         {resting: (np.nan, 0.0)},

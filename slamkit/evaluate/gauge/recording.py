@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from slamkit.arrays import Array, Indices
-from slamkit.compiled import ROWS, WHOLE, Models
+from slamkit.compiled import Models
 from slamkit.evaluate.gauge.rigid_body import turned
 from slamkit.filters.landmark_filter import LandmarkFilter
 from slamkit.logs import Log
@@ -31,8 +31,8 @@ def steps(filter: LandmarkFilter, log: Log) -> Iterator[float]:
 
 def linearisation_points(filter: LandmarkFilter) -> Array:
     """Give the state (D,) at which the estimator takes its lever arms; its belief is in standard coordinates then."""
-    filter._settle()
-    return filter._feet()
+    filter._to_standard_coordinates()
+    return filter._lever_points()
 
 
 def observability_matrix(filter: LandmarkFilter, log: Log) -> Array:
@@ -55,13 +55,13 @@ def observability_matrix(filter: LandmarkFilter, log: Log) -> Array:
     Phi, rows = np.eye(own + D)[:, own:], [np.zeros((0, D))]
     for dt in steps(f, log):
         if dt > 0:
-            Phi[:3] = f._belief.state.F @ Phi[:3]
+            Phi[:3] = f._belief.state.last.F @ Phi[:3]
         rows += [H @ Phi[at] for at, H in sightings]
         sightings.clear()
         if corrected:
             f._change_frame(Phi, corrected[-1])
             corrected.clear()
-        before = f._feet()
+        before = f._lever_points()
         Phi[: f.dim_x] += np.outer(turned(linearisation_points(f) - before), Phi[2])
     return np.concatenate(rows)[:, : f.dim_x]
 
@@ -86,31 +86,34 @@ def _recording(filter: LandmarkFilter) -> tuple[LandmarkFilter, list[tuple[Indic
         return np.array([0, 1, 2, slot, slot + 1])
 
     # A dense H belongs to the belief before the update. A sparse one is still in the state at the end of the update.
-    def correct(policy: Any, models: Any, state: Any, n: int) -> int:
+    def update(policy: Any, models: Any, state: Any, n: int) -> int:
         dense.clear()
-        for slot in state.slots[:n].tolist():
+        for slot in state.scratch.slots[:n].tolist():
             regression = f._regression(slot)
             if regression is not None:
                 dense[slot] = regression
-        return int(own.correct(policy, models, state, n))
+        return int(own.update(policy, models, state, n))
 
     # Every update ends in one retraction.
     def retract(state: Any) -> None:
-        k = state.noise.shape[1]
-        for j, slot in enumerate(state.slots[: state.size[ROWS] // k].tolist()):
+        scratch = state.scratch
+        k = scratch.noise.shape[1]
+        for j, slot in enumerate(scratch.slots[: state.last.rows // k].tolist()):
             rows = slice(j * k, (j + 1) * k)
             if slot in dense:
-                keep(np.arange(state.size[WHOLE]), *dense[slot])
+                keep(np.arange(state.belief.dim), *dense[slot])
             else:
-                H = np.hstack([state.H_pose[rows], state.H_landmark[rows]])
-                keep(block(int(state.owner[slot])), H, state.noise[rows])
+                H = np.hstack([scratch.H_pose[rows], scratch.H_landmark[rows]])
+                keep(block(int(state.belief.owner[slot])), H, scratch.noise[rows])
         own.retract(state)
-        corrected.append(state.mean[:3].copy())
+        corrected.append(state.belief.mean[:3].copy())
 
-    def start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
-        own.start(models, state, slot, place, z)
-        keep(block(int(state.size[WHOLE])), np.hstack([-state.G_pose, np.eye(2)]), state.block)
+    def initialise(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
+        own.initialise(models, state, slot, place, z)
+        scratch = state.scratch
+        keep(block(state.belief.dim), np.hstack([-scratch.G_pose, np.eye(2)]), scratch.block)
 
-    policy.plain = SimpleNamespace(**{**vars(own), "correct": correct, "retract": retract, "start": start})
-    f._policy, f._models = policy, Models(compiled=False, **f._models.fields)
+    recorded = {"update": update, "retract": retract, "initialise": initialise}
+    vars(policy)["plain"] = SimpleNamespace(**{**vars(own), **recorded})
+    vars(f).update(_policy=policy, _models=Models(compiled=False, **f._models.values))
     return f, sightings, corrected
