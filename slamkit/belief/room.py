@@ -44,7 +44,7 @@ class Room:
             "scratch": {},
         }
         kept["belief"] |= {"owner": np.arange(b), "local": np.arange(b)}
-        self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, room=b + BLOCK * min(8, storage.limit))
+        self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, room=b + BLOCK * int(min(8, storage.limit)))
 
     def _flush_prices(self) -> dict[str, float]:
         """What decides when to flush, see `slamkit.cycle.upkeep`."""
@@ -64,8 +64,9 @@ class Room:
             "own": own, "saved": LAST + SMALL * (SMALL + 4) + own,
         }  # fmt: skip
         values: dict[str, Any] = {"own": aligned(own)}
-        fixed = self.own_fields.fixed
-        values["own"][:fixed] = kept["own"][:fixed] if "own" in kept else 0.0
+        if "own" in kept:
+            both = min(own, len(kept["own"]))
+            values["own"][:both] = kept["own"][:both]
         for part, fields in FIELDS.items():
             values[part] = {}
             for name, field in fields.items():

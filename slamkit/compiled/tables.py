@@ -54,6 +54,7 @@ class Table:
     """
 
     def __init__(self, name: str, **fields: str | Table) -> None:
+        assert not {"table", "values", "address"} & fields.keys(), f"a reserved name in the table {name}"
         self.name, self.fields = name, fields
         self.first: dict[str, int] = {}
         self.words = 0

@@ -173,8 +173,13 @@ class IdealEKFSLAM(EKFSLAM):
         if self.truth is None:
             self._learn(None)
         self._belief.reserve(0, len(ids))
-        self._tell(self.time + dt, ids)
-        super()._run_step(u, dt, ids, z)
+        before = self._belief.state.own.copy()
+        try:
+            self._tell(self.time + dt, ids)
+            super()._run_step(u, dt, ids, z)
+        except BaseException:
+            self._belief.state.own[: len(before)] = before
+            raise
         self.time += dt
 
     def _true_pose(self, time: float) -> Array:
