@@ -96,6 +96,8 @@ def test_the_table_shows_the_numbers_of_the_json(loop: Path, tmp_path: Path) -> 
         assert f" {got[name]:.3f} " in text, name
     for name in ("steps", "observations", "landmarks"):
         assert f" {got[name]} " in text, name
+    (row,) = (line for line in text.splitlines() if "poses with a truth" in line)
+    assert row.count(f" {got['matched']} ") == 2  # the filter's and dead reckoning's
     assert "--motion unicycle --motion-noise 0.008839,0.03536 --sensor relative --sensor-noise 0.1" in text
 
 
