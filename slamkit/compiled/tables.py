@@ -78,7 +78,7 @@ def is_function(kind: object) -> bool:
 
 
 def aligned(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """An array of zeros that starts at a cache line: a vector register across two lines takes twice the time to load."""
+    """An array of zeros that starts at a cache line: to load a vector register across two lines takes twice as long."""
     line, kind = 8 * TILE, np.dtype(dtype)
     size = kind.itemsize * int(np.prod(shape))
     memory = np.zeros(size + line, dtype=np.uint8)

@@ -21,8 +21,8 @@ from slamkit.filters.running import Progress
 from slamkit.logs import History, Log, Schedule, Truth, decode_id, encode_id
 from slamkit.protocols import MotionModel, SensorModel
 
-# ``state.belief.linearised_at`` holds the true state. The own fields are the true pose that a prediction arrives at, and
-# the true positions of the landmarks of a scan.
+# ``belief.linearised_at`` holds the true state. The own fields are the true pose that a prediction arrives at, and the
+# true positions of the landmarks of a scan.
 own = OwnFields({"true_landmarks": 2}, true_pose=3)
 
 
