@@ -251,7 +251,7 @@ class Belief(Compressed):
         self.register(block_id, whole)
 
     def append(self, mean: Array, cross: Array, block: Array) -> int:
-        """Append an unnamed block with its cross-covariance (2, D) to the whole state; gives its slot. Nothing may rest."""
+        """Append an unnamed block with its cross-covariance (2, D) to the state; gives its slot. Nothing may rest."""
         self.reserve(1)
         s, slot = self.state, self.dim
         s.belief.mean[slot : slot + BLOCK] = mean
@@ -320,7 +320,7 @@ class Belief(Compressed):
             return s.belief.mean[at], s.belief.cov[np.maximum(i, j), np.minimum(i, j)]
         local, C = s.belief.local[at], int(s.resting.columns)
         resting = local < 0
-        # With (Φ_a, 0) for an active coordinate and (c, 1) for a resting one: P_ab = P_AA, Φ_a c_b or P⁰_bb - c_aᵀ Ψ c_b.
+        # With (Φ_a, 0) for an active coordinate, (c, 1) for a resting one: P_ab = P_AA, Φ_a c_b or P⁰_bb - c_aᵀ Ψ c_b.
         rows = np.zeros((*at.shape, C))
         rows[resting] = self._resting_rows(at[resting])
         active = s.resting.Phi[np.maximum(local, 0)][:, :, :C]

@@ -101,7 +101,7 @@ class Compressed(Room):
         self.state.resting.stays = STAY
 
     def flush(self) -> None:
-        """Update every resting landmark; afterwards only the base is active. Without resting landmarks it does nothing."""
+        """Update every resting landmark; then only the base is active. Without resting landmarks it does nothing."""
         if not self.compressed:
             return
         if self.state.resting.row_stride and self.dim <= self._squares[0].capacity:
@@ -238,7 +238,7 @@ class Compressed(Room):
             s.resting.store = target.store
 
     def _another_square(self) -> LentMatrix:
-        """Memory for a square store that no reader holds. Two stores suffice for a reader that holds one P at a time."""
+        """Memory for a square store that no reader holds. Two suffice for a reader that holds one P at a time."""
         free = [square for square in self._squares[1:] if not square.lent]
         return free[0] if free else LentMatrix(self._squares[0].capacity)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from slamkit.compiled import compiled, intrinsics
 
-#: A belief with room for no more than this is saved before each step. That costs less than checking every sighting first.
+#: A belief with room for no more than this is saved before each step, which costs less than checking every sighting.
 SMALL = 48
 #: Where the rows of the last update begin in what is saved: after z, y, t, S and L of two rows.
 LAST = 16

@@ -65,8 +65,8 @@ class Room:
         }  # fmt: skip
         values: dict[str, Any] = {"own": aligned(own)}
         if "own" in kept:
-            both = min(own, len(kept["own"]))
-            values["own"][:both] = kept["own"][:both]
+            held = min(own, len(kept["own"]))
+            values["own"][:held] = kept["own"][:held]
         for part, fields in FIELDS.items():
             values[part] = {}
             for name, field in fields.items():

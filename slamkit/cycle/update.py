@@ -27,7 +27,7 @@ def noise_is_lost(state: Any, first: int, k: int) -> bool:
 
 @compiled("index(policy, models, state, index)", generic=True)
 def gate_sightings(policy: Any, models: Any, state: Any, n: int) -> int:
-    """Record each innovation and NIS, and reject those beyond the gate. Gives how many stay, or -1 if S is not definite."""
+    """Record each innovation and NIS, reject those beyond the gate. Gives how many stay, -1 if S is not definite."""
     k = models.R.shape[0]
     kept = 0
     for j in range(n):
