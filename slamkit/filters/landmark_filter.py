@@ -411,7 +411,7 @@ class LandmarkFilter(FilterpyAttributes):
             raise explain.failure(self, status, u, ids, z)
         if not all_known:
             for i, slot in zip(ids, slots.tolist(), strict=True):
-                if i not in belief.slots:
+                if slot >= 0 and i not in belief.slots:
                     belief.register(i, slot)
         if status == Status.DUE:
             belief.flush_if_due()

@@ -74,6 +74,19 @@ def fingerprint(f: Any) -> dict[str, Any]:
     }
 
 
+def inside(f: Any) -> dict[str, Any]:
+    """`fingerprint`, but for P what it is made of: a flush is a product of matrices, which rounds as BLAS likes."""
+    b = f._belief.state
+    D, C = b.belief.active, b.resting.columns
+    told = {n: np.array(getattr(f, n)) for n in ("x", "y", "z", "S", "K", "F", "Q", "pose_covariance")}
+    told |= {n: np.array(getattr(b.resting, n)) for n in ("mean", "linearised_at", "store", "V")}
+    told |= {"cov": np.tril(b.belief.cov[:D, :D]), "linearised": np.array(b.belief.linearised_at[:D])}
+    told |= {"Phi": b.resting.Phi[:D, :C].copy(), "minus_Psi": np.tril(b.resting.minus_Psi[:C, :C])}
+    told |= {"theta": b.resting.theta[:C].copy(), "own": np.array(b.own[: f._belief.own_fields.fixed])}
+    settings = {n: getattr(f, n) for n in ("dim_u", "order", "gate", "landmark_ids", "log_likelihood")}
+    return told | settings | {"motion": id_of(f.motion), "sensor": id_of(f.sensor)}
+
+
 def refusal(act: Callable[[], Any]) -> SlamkitError | None:
     """The error with which slamkit refuses something, or None where it does not."""
     try:
@@ -188,7 +201,7 @@ class FilterMachine(RuleBasedStateMachine):
             type(self).refused += 1
             self.trace.write(f"   refused: {type(error).__name__}: {error}")
             assert str(error)
-            assert not (bad := differing(fingerprint(before), fingerprint(self.f))), f"{bad} changed by {error}"
+            assert not (bad := differing(inside(before), inside(self.f))), f"{bad} changed by {error}"
             assert self.name != "ekf", error
             return False
         act(self.mirror)
@@ -203,10 +216,12 @@ class FilterMachine(RuleBasedStateMachine):
         error = refusal(lambda: act(self.f))
         assert error is not None, f"{what} was taken"
         assert str(error)
-        assert not (bad := differing(fingerprint(before), fingerprint(self.f))), f"{bad} changed by {what}"
+        assert not (bad := differing(inside(before), inside(self.f))), f"{bad} changed by {what}"
 
     def seen(self, ids: Sequence[Any]) -> None:
-        self.ids += [i for i in dict.fromkeys(ids) if i not in self.ids]
+        """New landmarks; an unscented filter may find a sighting too close to start one."""
+        held = self.f.landmark_ids if "ukf" in self.name else IDS
+        self.ids += [i for i in dict.fromkeys(ids) if i not in self.ids and i in held]
 
     def check(self) -> None:
         """What holds of every filter at any time."""
@@ -336,7 +351,7 @@ class FilterMachine(RuleBasedStateMachine):
         done = len(history.times)
         self.trace.write(f"   {done} of {len(log)} steps")
         if done == 0:
-            assert not (bad := differing(fingerprint(before), fingerprint(self.f))), f"{bad} changed by no step"
+            assert not (bad := differing(inside(before), inside(self.f))), f"{bad} changed by no step"
             return
         assert np.array_equal(history.poses[-1], self.f.pose), (history.poses[-1], self.f.pose)
         assert history.landmark_ids == self.f.landmark_ids, (history.landmark_ids, self.f.landmark_ids)
@@ -534,12 +549,12 @@ class FilterMachine(RuleBasedStateMachine):
         u = self.control(rng)
         ids, z = self.sightings(rng, 5)
         x, P = np.array(f.x), np.array(f.P)
-        size = 10.0 ** rng.integers(3, 12)
+        size = 10.0 ** rng.integers(3, 300)
         acts: list[Callable[[], Any]] = []
         if what == "huge dt":
             acts.append(lambda: f.predict(u, size))
         elif what == "huge z":
-            acts.append(lambda: f.observe_scan(Scan(tuple(ids), z * size)))
+            acts.append(lambda: f.observe_scan(Scan(tuple(ids), z * min(size, 1e12))))
         elif what == "huge P":
             acts.append(lambda: setattr(f, "P", P * size + np.diag(np.arange(len(P)) * size * 1e-3)))
         elif what == "on the robot" and self.ids:
@@ -556,7 +571,7 @@ class FilterMachine(RuleBasedStateMachine):
             before = copy.deepcopy(f)
             error = refusal(act)
             if error is not None:
-                bad = differing(fingerprint(before), fingerprint(f))
+                bad = differing(inside(before), inside(f))
                 assert not bad, f"{bad} changed by {error}"
             g = copy.deepcopy(f)
             P = np.array(g.P)
