@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import sys
 import threading
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -314,9 +314,7 @@ class LandmarkFilter(FilterpyAttributes):
             `ids` is no sequence, or there is no such landmark.
         """
         self._to_standard_coordinates()
-        if isinstance(ids, str) or not isinstance(ids, Iterable):
-            raise InputError(f"ids is {ids!r}, expected a sequence of landmark ids")
-        return self._belief.marginal([hashable(i) for i in ids], base=pose)
+        return self._belief.marginal(ids, base=pose)
 
     @locked
     def flush(self) -> None:

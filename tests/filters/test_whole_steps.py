@@ -15,7 +15,7 @@ from slamkit import Log, Storage, Truth
 from slamkit.belief import Belief
 from slamkit.errors import DivergenceError, InputError, MemoryCapError, ModelError, SlamkitError
 from slamkit.logs import read_archive, write_archive
-from slamkit.models import Odometry, RangeBearing, Unicycle
+from slamkit.models import Odometry, RangeBearing, RelativePosition, Unicycle
 
 MODELS = Unicycle(0.1, 0.05), RangeBearing(0.1, 0.03)
 PLAIN = PlainMotion(MODELS[0]), PlainSensor(MODELS[1])
@@ -104,17 +104,19 @@ def test_a_sighting_too_close_for_sigma_points_starts_no_landmark(
         assert "far" in f.landmark_ids
 
 
+@pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("ids", [[[1]], [{}], None, 3, "0", ["nobody"]])
-def test_marginals_are_asked_for_by_ids(ids: Any) -> None:
+def test_marginals_are_asked_for_by_ids(name: str, ids: Any) -> None:
     with pytest.raises(InputError):
-        filled("ekf", 3).marginal(ids)
+        filled(name, 3).marginal(ids)
 
 
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("landmarks", [2, 30])
 def test_a_landmark_beyond_a_doubles_range_is_not_started(name: str, landmarks: int) -> None:
     f = filled(name, landmarks)
-    f.observe_scan({"so far": (1e150, 0.1), "near": (5.0, 0.1)})
+    f.sensor = RelativePosition(0.1)
+    f.observe_scan({"so far": (1e200, 0.1), "near": (5.0, 0.1)})
     assert f.landmark_ids == (*range(landmarks), "near")
     assert np.isfinite(f.P).all()
 
