@@ -298,7 +298,11 @@ class Belief(Compressed):
             raise InputError(f"ids is {ids!r}, expected a sequence of landmark ids")
         parts = list(range(self.base)) if base else []
         for i in ids:
-            if not isinstance(i, Hashable) or i not in self.slots:
+            try:
+                known = i in self.slots
+            except TypeError:  # it cannot be hashed
+                known = False
+            if not known:
                 raise InputError(f"there is no landmark {i!r} in the map of {len(self.slots)}")
             parts += [self.slots[i], self.slots[i] + 1]
         return np.array(parts, dtype=np.int64)
