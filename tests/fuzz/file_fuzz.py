@@ -269,6 +269,12 @@ def damage_array(rng: Any, a: Any) -> Any:
 
 def damage_archive(rng: Any, facts: Any, arrays: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     arrays = dict(arrays)
+    covariances = [n for n, a in arrays.items() if n.endswith(("cov", "store")) and a.size and a.dtype.kind == "f"]
+    if covariances and rng.random() < 0.3:  # nothing but a number is wrong
+        name = covariances[rng.integers(0, len(covariances))]
+        a = arrays[name] = np.array(arrays[name])
+        a.flat[rng.integers(0, a.size)] *= rng.choice([-1.0, 0.0, 1e3, 1e6])
+        return facts, arrays
     for _ in range(rng.integers(1, 4)):
         names = list(arrays)
         name, other = names[rng.integers(0, len(names))], names[rng.integers(0, len(names))]

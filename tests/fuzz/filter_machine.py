@@ -82,7 +82,10 @@ def inside(f: Any) -> dict[str, Any]:
     told |= {n: np.array(getattr(b.resting, n)) for n in ("mean", "linearised_at", "store", "V")}
     told |= {"cov": np.tril(b.belief.cov[:D, :D]), "linearised": np.array(b.belief.linearised_at[:D])}
     told |= {"Phi": b.resting.Phi[:D, :C].copy(), "minus_Psi": np.tril(b.resting.minus_Psi[:C, :C])}
-    told |= {"theta": b.resting.theta[:C].copy(), "own": np.array(b.own[: 0 if f.name == "ideal" else f._belief.own_fields.fixed])}
+    told |= {
+        "theta": b.resting.theta[:C].copy(),
+        "own": np.array(b.own[: 0 if f.name == "ideal" else f._belief.own_fields.fixed]),
+    }
     settings = {n: getattr(f, n) for n in ("dim_u", "order", "gate", "landmark_ids", "log_likelihood")}
     return told | settings | {"motion": id_of(f.motion), "sensor": id_of(f.sensor)}
 
