@@ -294,9 +294,15 @@ class Belief(Compressed):
 
     def indices(self, ids: Iterable[Hashable], base: bool) -> Indices:
         """Indices into the mean: the base first where it is asked for, then each block in the order given."""
+        if isinstance(ids, str) or not isinstance(ids, Iterable):
+            raise InputError(f"ids is {ids!r}, expected a sequence of landmark ids")
         parts = list(range(self.base)) if base else []
         for i in ids:
-            if i not in self.slots:
+            try:
+                known = i in self.slots
+            except TypeError:  # it cannot be hashed
+                known = False
+            if not known:
                 raise InputError(f"there is no landmark {i!r} in the map of {len(self.slots)}")
             parts += [self.slots[i], self.slots[i] + 1]
         return np.array(parts, dtype=np.int64)

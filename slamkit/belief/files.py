@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slamkit.belief.belief import Belief
 from slamkit.belief.layout import BASE, BLOCK, FIELDS
-from slamkit.belief.packed import PANEL, packed_bytes
+from slamkit.belief.packed import PANEL, expand, packed_bytes
 from slamkit.errors import InputError
 
 #: dtype and shape of every array, see `slamkit.belief.layout.Field`. ``n`` is the length of the estimator's own fields.
@@ -95,6 +95,7 @@ def from_arrays(belief: Belief, ids: Iterable[Hashable], arrays: Mapping[str, ND
     _check_covariance("belief.cov", arrays["belief.cov"])
     if C:
         _check_packed("resting.store", arrays["resting.store"], dim)
+        _check_base(arrays)
     if rows and not (np.diag(arrays["last.L"]) > 0).all():
         raise InputError("last.L is not the Cholesky factor of a positive definite S")
     _lay_out(belief, slots, arrays, number)
@@ -136,7 +137,12 @@ def _check_covariance(name: str, lower: NDArray[np.float64]) -> None:
 
 
 def _check_packed(name: str, store: NDArray[np.float64], dim: int) -> None:
-    """The same of a packed triangle, panel by panel."""
+    """A packed triangle must be that of a positive semidefinite matrix; a large one is checked panel by panel."""
+    if dim <= DECOMPOSED:
+        P = np.empty((dim, dim))
+        expand(store, P)
+        _check_covariance(name, np.tril(P))
+        return
     panels = []
     start = 0
     for row in range(0, dim, PANEL):
@@ -145,6 +151,20 @@ def _check_packed(name: str, store: NDArray[np.float64], dim: int) -> None:
         start += PANEL * width
     diagonal = np.concatenate([np.diagonal(panel, row) for row, panel in panels])[:dim]
     _check_rows(name, diagonal, panels)
+
+
+def _check_base(arrays: Mapping[str, NDArray[Any]]) -> None:
+    """The base of a compressed belief is active and stored: both must say the same."""
+    b = BASE
+    P = np.empty((b, b))
+    expand(arrays["resting.store"], P)
+    for name, active, stored in (
+        ("cov", arrays["belief.cov"], np.tril(P)),
+        ("mean", arrays["belief.mean"], arrays["resting.mean"][:b]),
+        ("linearised_at", arrays["belief.linearised_at"], arrays["resting.linearised_at"][:b]),
+    ):
+        if not np.array_equal(active, stored):
+            raise InputError(f"belief.{name} is {active.tolist()}, but what is stored of the base is {stored.tolist()}")
 
 
 def _check_rows(name: str, diagonal: NDArray[np.float64], panels: Iterable[tuple[int, NDArray[np.float64]]]) -> None:

@@ -53,13 +53,18 @@ class Room:
             "price_per_square": FLUSH_RATE / 2, "fixed_price": FLUSH_START, "most_columns": np.inf, "limit": limit,
         }  # fmt: skip
 
-    def _lay_out(self, kept: dict[str, Any], capacity: int, sightings: int, columns: int, room: int) -> None:
-        """Make arrays of the given capacities that hold what is kept, a value for each field of each part."""
-        k, D = self._k, int(kept["belief"]["active"])
+    def _lay_out(
+        self, kept: dict[str, Any], capacity: int, sightings: int, columns: int, room: int, m: int | None = None
+    ) -> None:
+        """Make arrays of the given capacities that hold what is kept, a value for each field of each part.
+
+        Where that fails nothing has changed.
+        """
+        k, D, m = self._k, int(kept["belief"]["active"]), self._m if m is None else m
         capacity, columns = whole_vectors(capacity), whole_vectors(columns)
         own = self.own_fields.size(sightings)
         lengths = {
-            "capacity": capacity, "columns": columns, "sightings": sightings, "map": room, "k": k, "m": self._m,
+            "capacity": capacity, "columns": columns, "sightings": sightings, "map": room, "k": k, "m": m,
             "rows": max(k * sightings, int(kept["last"].get("rows", 0)), 2), "point": BASE + BLOCK * sightings,
             "own": own, "saved": LAST + SMALL * (SMALL + 4) + own,
         }  # fmt: skip
@@ -88,7 +93,7 @@ class Room:
                         both = tuple(slice(0, min(a, b)) for a, b in zip(shape, old.shape, strict=True))
                         new[both] = old[both]
                     values[part][name] = new
-        self.state = Shared(STATE, **values)
+        self.state, self._m = Shared(STATE, **values), m
 
     @property
     def dim(self) -> int:
@@ -119,9 +124,8 @@ class Room:
             return
         if need > capacity:
             capacity = self._affordable(need, need if exactly else self.base + 2 * (need - self.base))
-        room = self._map_room(whole)
-        self._m = m
-        self._lay_out(s.values, capacity, sightings, len(s.resting.theta), room)
+        self.storage.afford(8 * m**2, f"the noise of a control of {m} numbers")
+        self._lay_out(s.values, capacity, sightings, len(s.resting.theta), self._map_room(whole), m)
 
     def hint_final_size(self, blocks: int) -> None:
         """Say how many further blocks may come: a store made from now on has room for them, if the cap allows.

@@ -86,7 +86,9 @@ def _load(source: Any, signature: Any, place: Path, in_table: bool) -> Any:
 
     if _is_whole(place):
         try:
-            return _compile(source, signature, place, in_table)
+            dispatcher = _compile(source, signature, place, in_table)
+            # A miss means that Numba holds the source for changed, and has stored it anew without a checksum.
+            return None if dispatcher.stats.cache_misses else dispatcher
         except NumbaError:  # it holds the file of the source for changed, and cannot compile this form of it
             return None
         except Exception:  # whatever Numba's reader stumbles over

@@ -7,11 +7,25 @@ from typing import Any
 
 from slamkit.belief.dense import augment
 from slamkit.compiled import compiled
+from slamkit.cycle.linearise import record_non_finite
+
+
+@compiled("real(state, index)")
+def started_variance(state: Any, r: int) -> Any:
+    """Variance of coordinate r of the landmark that is about to start: (G_pose P G_poseᵀ + block)_rr."""
+    cov, G = state.belief.cov, state.scratch.G_pose
+    a, b, c = G[r, 0], G[r, 1], G[r, 2]
+    return (
+        state.scratch.block[r, r]
+        + a * (a * cov[0, 0] + 2.0 * (b * cov[1, 0] + c * cov[2, 0]))
+        + b * (b * cov[1, 1] + 2.0 * c * cov[2, 1])
+        + c * c * cov[2, 2]
+    )
 
 
 @compiled("index(policy, models, state, index, vector)", generic=True)
 def initialise(policy: Any, models: Any, state: Any, place: int, z: Any) -> Any:
-    """Start a landmark from its first sighting; gives its slot. What no belief can hold is counted as non-finite."""
+    """Start a landmark from its first sighting; gives its slot, or -1 where no belief can hold it: it is refused."""
     slot = state.belief.active
     policy.initialise(models, state, slot, place, z)
     G, block, mean = state.scratch.G_pose, state.scratch.block, state.belief.mean
@@ -22,10 +36,12 @@ def initialise(policy: Any, models: Any, state: Any, place: int, z: Any) -> Any:
     least = -1e-9 * block[0, 0] * block[1, 1]
     if not (
         isfinite(total)
+        and isfinite(started_variance(state, 0) + started_variance(state, 1))
         and block[0, 0] >= 0.0
         and block[1, 1] >= 0.0
         and block[0, 0] * block[1, 1] - block[0, 1] * block[1, 0] >= least
     ):
-        state.scratch.non_finite += 1
+        record_non_finite(state, place, z.shape[0])
+        return -1
     augment(state, slot)
     return slot

@@ -7,7 +7,7 @@ from typing import Any
 
 from slamkit.belief.dense import propagate
 from slamkit.compiled import compiled
-from slamkit.cycle.status import BAD_MOTION, OK
+from slamkit.cycle.status import BAD_MOTION, NOT_DEFINITE, OK
 
 
 @compiled("flag(state)")
@@ -18,6 +18,19 @@ def finite_motion(state: Any) -> bool:
     for i in range(3):
         total += F[i, 0] + F[i, 1] + F[i, 2] + Q[i, 0] + Q[i, 1] + Q[i, 2]
     return isfinite(total)
+
+
+@compiled("real(state, index)")
+def predicted_variance(state: Any, i: int) -> Any:
+    """Variance of entry i of the pose after the prediction that is prepared: (F P Fᵀ + Q)_ii."""
+    cov, F = state.belief.cov, state.last.F
+    a, b, c = F[i, 0], F[i, 1], F[i, 2]
+    return (
+        state.last.Q[i, i]
+        + a * (a * cov[0, 0] + 2.0 * (b * cov[1, 0] + c * cov[2, 0]))
+        + b * (b * cov[1, 1] + 2.0 * c * cov[2, 1])
+        + c * c * cov[2, 2]
+    )
 
 
 @compiled("void(state)")
@@ -39,6 +52,8 @@ def prepare(policy: Any, models: Any, state: Any, u: Any, dt: float) -> int:
         policy.motion(models, state, u, dt)
         if not finite_motion(state):
             return BAD_MOTION
+        if not isfinite(predicted_variance(state, 0) + predicted_variance(state, 1) + predicted_variance(state, 2)):
+            return NOT_DEFINITE
     else:
         for i in range(3):
             state.scratch.pose[i] = state.belief.mean[i]

@@ -49,7 +49,7 @@ def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z:
         state.scratch.failing = failing
         to_map_slots(state, slots)
         return give_back(state, dt, BAD_SIGHTING)
-    if not state.scratch.careful and needs_care(models, state, slots):
+    if not state.scratch.careful and needs_care(models, state, slots, dt > 0.0):
         to_map_slots(state, slots)
         return give_back(state, dt, CAREFUL)
     state.scratch.non_finite = 0

@@ -6,6 +6,7 @@ from typing import Any
 
 from slamkit.belief.dense import is_finite
 from slamkit.compiled import compiled
+from slamkit.cycle.predict import predicted_variance
 
 #: A variance is close to a double's limits where it exceeds the smallest noise by this factor.
 CLOSE = 1e10
@@ -27,16 +28,19 @@ def first_unusable(models: Any, state: Any, slots: Any, z: Any) -> int:
     return -1
 
 
-@compiled("flag(models, state, integers)")
-def needs_care(models: Any, state: Any, slots: Any) -> bool:
-    """Whether an update of this scan may fail halfway: the variances are so large beside the noise, or negative."""
+@compiled("flag(models, state, integers, flag)")
+def needs_care(models: Any, state: Any, slots: Any, moved: bool) -> bool:
+    """Whether an update of this scan may fail halfway: the variances are so large beside the noise, or negative.
+
+    Those of the pose are the ones after the prediction that is prepared, where there is one.
+    """
     cov, R = state.belief.cov, models.R
     smallest = R[0, 0]
     for i in range(1, R.shape[0]):
         smallest = min(smallest, R[i, i])
     bound = CLOSE * smallest
     for i in range(3):
-        if not 0.0 <= cov[i, i] <= bound:
+        if not 0.0 <= cov[i, i] <= bound or (moved and not predicted_variance(state, i) <= bound):
             return True
     for slot in slots:
         if slot >= 0 and not (0.0 <= cov[slot, slot] <= bound and 0.0 <= cov[slot + 1, slot + 1] <= bound):

@@ -309,6 +309,11 @@ class LandmarkFilter(FilterpyAttributes):
         mean : ndarray (d,)
         covariance : ndarray (d, d)
             d = 2·len(ids), plus 3 with the pose.
+
+        Raises
+        ------
+        InputError
+            `ids` is no sequence, or there is no such landmark.
         """
         self._to_standard_coordinates()
         return self._belief.marginal(ids, base=pose)
@@ -377,18 +382,25 @@ class LandmarkFilter(FilterpyAttributes):
     # -- between the caller and the step ------------------------------------------------------------------------------
 
     def _control(self, u: ArrayLike) -> Array:
-        control = control_array(u, self.dim_u, self._motion)
-        self._take_control_length(len(control))
-        return control
+        return control_array(u, self.dim_u, self._motion)
 
     def _take_control_length(self, length: int) -> None:
-        """A plain model need not say how long its controls are: the first one does."""
+        """A plain model need not say how long its controls are: the first one that it takes does."""
         if length != self.dim_u:
-            vars(self)["dim_u"] = length
             self._belief.reserve(0, control_dim=max(length, 1))
+            vars(self)["dim_u"] = length
 
     def _run_step(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
         """Predict over dt, unless it is 0, and use a scan; or raise, and nothing has changed."""
+        if dt > 0 and len(u) != self.dim_u:
+            known = self.dim_u
+            try:
+                self._take_control_length(len(u))
+                self._run_step(u, dt, ids, z)
+            except BaseException:
+                vars(self)["dim_u"] = known
+                raise
+            return
         belief = self._belief
         if len(ids) > len(belief.state.scratch.nis):
             belief.reserve(0, len(ids))
@@ -406,7 +418,7 @@ class LandmarkFilter(FilterpyAttributes):
             raise explain.failure(self, status, u, ids, z)
         if not all_known:
             for i, slot in zip(ids, slots.tolist(), strict=True):
-                if i not in belief.slots:
+                if slot >= 0 and i not in belief.slots:
                     belief.register(i, slot)
         if status == Status.DUE:
             belief.flush_if_due()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from slamkit.arrays import Array, Indices
+from slamkit.belief import undisturbed
 from slamkit.cycle import Status, call
 from slamkit.cycle.run import run as run_steps
 from slamkit.errors import InputError, SlamkitError
@@ -25,7 +26,16 @@ def run(filter: Any, log: Log, progress: Progress = False) -> History:
     """Run a filter over a log; :meth:`slamkit.filters.LandmarkFilter.run` has parameters and errors."""
     if not isinstance(log, Log):
         raise InputError(f"log is a {type(log).__name__}, expected a slamkit.Log")
-    return _Run(filter, log).go(progress)
+    known = filter.dim_u
+    try:
+        with undisturbed():
+            new = _Run(filter, log)
+        return new.go(progress)
+    except BaseException as error:
+        history = getattr(error, "history", None)
+        if history is None or len(history.times) == 0:
+            vars(filter)["dim_u"] = known  # a control that could not be used says nothing
+        raise
 
 
 class _Run:
@@ -66,16 +76,16 @@ class _Run:
         try:
             while self.done < K and trouble is None:
                 begun = time.perf_counter()
-                status = self._call(min(self.done + stretch, K))
+                # An interrupt is heard between whole steps.
+                with undisturbed():
+                    status = self._call(min(self.done + stretch, K))
+                    self._register_new_landmarks()
+                    trouble = self._follow_up(status)
                 if self.filter._models.compiled:
                     # A call is to take a while, but an interrupt is to be heard and progress to be seen.
                     stretch = 4 * stretch if time.perf_counter() - begun < LONG_CALL else max(1, stretch // 2)
-                self._register_new_landmarks()
-                trouble = self._follow_up(status)
                 report(self.done)
         except BaseException as error:  # whatever a model in Python or the caller's progress raises
-            # An interrupt may come between a compiled stretch and the naming of the landmarks which that has started.
-            self._register_new_landmarks()
             trouble = error
         finally:
             report(None)
