@@ -80,7 +80,7 @@ def runs(number: int, path: Path, robot: int, filters: Sequence[str]) -> list[di
     for name in filters:
         result: dict[str, Any] = {"set": number, "robot": robot, "truth": data.truth_kind, "filter": name}
         try:
-            FILTERS[name](motion, sensor, gate=mrclam.GATE).run(beginning(data.log))  # load the compiled code
+            FILTERS[name](motion, sensor, gate=mrclam.GATE).run(data.log.head(2))  # load the compiled code
             history = FILTERS[name](motion, sensor, gate=mrclam.GATE).run(data.log)
         except SlamkitError as error:
             results.append({**result, "error": str(error)})
@@ -99,18 +99,6 @@ def runs(number: int, path: Path, robot: int, filters: Sequence[str]) -> list[di
             }
         )
     return results
-
-
-def beginning(log: Log) -> Log:
-    """A log with the first control and the first sighting."""
-    return Log(
-        control_times=np.array([0.0]),
-        controls=log.controls[:1],
-        observation_times=np.array([0.1]),
-        observation_ids=log.observation_ids[:1],
-        observations=log.observations[:1],
-        landmark_ids=log.landmark_ids,
-    )
 
 
 def in_frame_of_start(history: History, log: Log) -> float | None:

@@ -1,4 +1,4 @@
-"""Every filter, motion model and sensor model that the laws are tried on: a new one adds a line."""
+"""Every filter, motion model and sensor model that the laws are tried on. A registered one is among them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import Any
 import filterpy.kalman
 import numpy as np
 
-from slamkit import Log, Truth
+from slamkit import Log, Truth, models
 from slamkit.filters import FILTERS as ALL
-from slamkit.models import Ackermann, EulerUnicycle, Odometry, RangeBearing, RelativePosition, Unicycle
+from slamkit.models import Unicycle, parameters_of
+from slamkit.registry import Registry
 
 __all__ = [
     "ALL",
@@ -28,14 +29,28 @@ __all__ = [
 #: The ideal filter knows the truth of its log only: it takes part in the laws that run over a log.
 FILTERS: dict[str, Any] = {name: kind for name, kind in ALL.items() if name != "ideal"}
 ORDERS = ("sequential", "batch")
-MOTIONS: dict[str, Any] = {
-    "unicycle": Unicycle(0.1, 0.05),
-    "unicycle-pose-noise": Unicycle(0.1, 0.05, pose_noise=np.diag([1e-3, 2e-3, 1e-4])),
-    "euler": EulerUnicycle(0.1, 0.05),
-    "odometry": Odometry(0.02, 0.01, 0.02, 0.01),
-    "ackermann": Ackermann(0.1, 0.02, 1.5, encoder_left=0.4, ahead=0.8, left=0.2),
+#: Arguments of the models that are not tried with their typical noise.
+_ARGUMENTS: dict[str, tuple[float, ...]] = {
+    "unicycle": (0.1, 0.05),
+    "euler": (0.1, 0.05),
+    "odometry": (0.02, 0.01, 0.02, 0.01),
+    "ackermann": (0.1, 0.02, 1.5, 0.4, 0.8, 0.2),
+    "range-bearing": (0.1, 0.03),
+    "relative": (0.15,),
 }
-SENSORS: dict[str, Any] = {"range-bearing": RangeBearing(0.1, 0.03), "relative": RelativePosition(0.15)}
+
+
+def _made(registry: Registry[Any]) -> dict[str, Any]:
+    """An instance of every registered model."""
+    typical = {name: [value for _, value in parameters_of(kind).values()] for name, kind in registry.items()}
+    return {name: kind(*_ARGUMENTS.get(name, typical[name])) for name, kind in registry.items()}
+
+
+MOTIONS: dict[str, Any] = {
+    **_made(models.MOTIONS),
+    "unicycle-pose-noise": Unicycle(0.1, 0.05, pose_noise=np.diag([1e-3, 2e-3, 1e-4])),
+}
+SENSORS: dict[str, Any] = _made(models.SENSORS)
 #: To how many digits two ways of computing the same agree: regressions over close sigma points cancel some.
 ROUNDING = {name: 1e-9 if "ukf" in name else 1e-13 for name in ALL}
 P0 = np.diag([0.02, 0.03, 0.01])

@@ -33,7 +33,7 @@ def to_map_coordinates(state: Any, M: Any) -> None:
 
 @compiled("void(state, index, vector)")
 def resting_row(state: Any, index: int, out: Any) -> None:
-    """out ← P⁰[A₀, index], as the last flush leaves it even where it is not yet written."""
+    """out ← P⁰[A₀, index] after the last flush, including corrections that are not yet written."""
     columns, store, V = state.resting.activated, state.resting.store, state.resting.V
     pending = V.shape[1]
     for c in range(state.resting.columns):
@@ -48,7 +48,7 @@ def resting_row(state: Any, index: int, out: Any) -> None:
 
 @compiled("index(state, index)")
 def activate(state: Any, slot: int) -> Any:
-    """Make the landmark that rests at `slot` of the map active: O(A²); its slot among the active.
+    """Make the landmark that rests at `slot` of the map active: O(A²). Gives its active slot.
 
     With c = P⁰[A₀, j]: P_jA = cᵀΦᵀ, P_jj = P⁰_jj - cᵀΨc, x_j = x⁰_j + cᵀϑ, Φ ← [[Φ, 0], [B - cᵀΨ, I]], where
     B = [I, J(l_j - p)] on the pose takes the landmark from its coordinates in A₀ to those of the map.
@@ -120,7 +120,7 @@ def activate(state: Any, slot: int) -> Any:
 
 @compiled("void(state, index, index)")
 def record(state: Any, n: int, k: int) -> None:
-    """Keep what an update by n sightings of k rows says of everything that rests: O(rows · D · C).
+    """Record the effect of an update by n sightings of k rows on all resting landmarks: O(rows · D · C).
 
     With g = L⁻¹ H Φ: Φ ← Φ - wᵀg, Ψ ← Ψ + gᵀg, ϑ ← ϑ + gᵀt. Reads H, L, w and t of the update.
     """

@@ -104,7 +104,7 @@ class Belief(Compressed):
 
     @property
     def covariance(self) -> Array:
-        """Covariance (D, D), symmetric, after a flush; read-only where it is not a copy."""
+        """Covariance (D, D), symmetric, after a flush. A read-only view where that saves a copy."""
         s, D = self.state, self.dim
         if s.resting.row_stride:
             self.flush()
@@ -158,7 +158,7 @@ class Belief(Compressed):
         self.gain_of(PHt, H @ PHt + R, y)
 
     def _times(self, X: Array) -> Array:
-        """P X (D, r); of what rests, panel by panel."""
+        """P X (D, r), panel by panel where part of the map rests."""
         if not self.compressed:
             return np.asarray(self.covariance @ X)
         self.flush()
@@ -251,7 +251,7 @@ class Belief(Compressed):
         self.register(block_id, whole)
 
     def append(self, mean: Array, cross: Array, block: Array) -> int:
-        """Append an unnamed block with its cross-covariance (2, D) to the whole state; its slot. Nothing may rest."""
+        """Append an unnamed block with its cross-covariance (2, D) to the state; gives its slot. Nothing may rest."""
         self.reserve(1)
         s, slot = self.state, self.dim
         s.belief.mean[slot : slot + BLOCK] = mean
@@ -263,7 +263,7 @@ class Belief(Compressed):
         return slot
 
     def remove(self, block_id: Hashable) -> None:
-        """Marginalise a block out: its rows go, the rest of the Gaussian stays as it is; O(D²)."""
+        """Marginalise a block out: remove its rows and columns. The rest of the Gaussian stays as it is; O(D²)."""
         if block_id not in self.slots:
             raise InputError(f"there is no landmark {block_id!r} in the map of {len(self.slots)}")
         self.flush()
@@ -308,7 +308,7 @@ class Belief(Compressed):
         return mean[0], covariance[0]
 
     def marginals(self) -> tuple[Array, Array]:
-        """Mean (N, 2) and covariance (N, 2, 2) of every block by itself, likewise."""
+        """Mean (N, 2) and covariance (N, 2, 2) of every block by itself, read without forming P and without a flush."""
         slots = np.fromiter(self.slots.values(), dtype=np.int64, count=len(self.slots))
         return self._parts(slots[:, None] + np.arange(BLOCK))
 
@@ -320,7 +320,7 @@ class Belief(Compressed):
             return s.belief.mean[at], s.belief.cov[np.maximum(i, j), np.minimum(i, j)]
         local, C = s.belief.local[at], int(s.resting.columns)
         resting = local < 0
-        # With (Φ_a, 0) for what is active and (c, 1) for what rests: P_ab = P_AA, Φ_a c_b or P⁰_bb - c_aᵀ Ψ c_b.
+        # With (Φ_a, 0) for an active coordinate, (c, 1) for a resting one: P_ab = P_AA, Φ_a c_b or P⁰_bb - c_aᵀ Ψ c_b.
         rows = np.zeros((*at.shape, C))
         rows[resting] = self._resting_rows(at[resting])
         active = s.resting.Phi[np.maximum(local, 0)][:, :, :C]

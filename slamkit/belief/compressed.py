@@ -5,7 +5,7 @@ at the next flush (Guivant & Nebot, IEEE TRA 17(3):242-257, 2001, with an active
 
 The covariance as of the last flush is P⁰, in ``state.resting.store``. Every correction since then is kept in small
 matrices. Let A be what is active, A₀ the C = ``state.resting.columns`` coordinates that rested at the flush and are
-active now, b what rests still, and M = P⁰[A₀, b]. Then
+active now, b the coordinates that still rest, and M = P⁰[A₀, b]. Then
 
     P_Ab = Φ M,    P_bb = P⁰_bb - Mᵀ Ψ M,    x_b = x⁰_b + Mᵀ ϑ.
 
@@ -46,7 +46,7 @@ STAY, READ = 1000.0, 20.0
 
 
 class Compressed(Room):
-    """A belief, part of which may rest."""
+    """A belief in which landmarks may rest."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -73,7 +73,7 @@ class Compressed(Room):
 
     @property
     def _plain_is_cheaper(self) -> bool:
-        """Whether the steps since the last flush and the next one cost more than they do where nothing rests.
+        """Whether the steps since the last flush, and the next flush, cost more than steps in which nothing rests.
 
         Counted in multiply-adds, which cost the same as long as the caches hold P. A flush of a small map is products
         of small matrices, with as many multiply-adds again for gathering and writing.
@@ -86,7 +86,7 @@ class Compressed(Room):
         return bool(s.resting.spent + flush > s.resting.spent_plain)
 
     def _unfold(self) -> None:
-        """After a flush make everything active, in the order of the map, and let it be so for a while."""
+        """After a flush make everything active, in the order of the map, for `STAY` steps."""
         whole, s = self.dim, self.state
         P, kept = np.empty((whole, whole)), s.values
         expand(s.resting.store, P)
@@ -101,7 +101,7 @@ class Compressed(Room):
         self.state.resting.stays = STAY
 
     def flush(self) -> None:
-        """Bring everything that rests up to date; then only the base is active. Nothing where nothing rests."""
+        """Update every resting landmark; then only the base is active. Without resting landmarks it does nothing."""
         if not self.compressed:
             return
         if self.state.resting.row_stride and self.dim <= self._squares[0].capacity:
@@ -116,7 +116,7 @@ class Compressed(Room):
                 self._correct_rows(None)
 
     def _unpack(self) -> bool:
-        """Let the store be square, so that P may be read as it stands there; False where there is no room for two."""
+        """Make the store square, so that P can be read from it directly. False if there is no room for two stores."""
         s = self.state
         capacity = min(len(s.resting.mean), -(-6 * self.dim // (5 * PANEL)) * PANEL)
         if 2 * LentMatrix.bytes(capacity) > self.storage.cap:
@@ -129,7 +129,7 @@ class Compressed(Room):
         return True
 
     def _pack(self) -> None:
-        """Let the store be a packed triangle: all but reading P at every step goes by that."""
+        """Make the store a packed triangle, which everything but reading P at every step uses."""
         s = self.state
         if s.resting.row_stride:
             square, store = self._squares[0], np.zeros(packed_bytes(len(s.resting.mean)) // 8)
@@ -169,7 +169,7 @@ class Compressed(Room):
         )
 
     def _begin_flush(self) -> None:
-        """Move what is active, but for the base, to what rests; the correction of the rest is pending then.
+        """Move everything active, except the base, to the part that rests. Its correction is then pending.
 
         That of a square store is done at once.
         """
@@ -189,7 +189,7 @@ class Compressed(Room):
             moved, cross = V[:whole] @ s.resting.theta[:C], V[:whole] @ s.resting.Phi[:D, :C].T
             V[owner] = 0.0
             V = V @ _half(s, C)[0].T
-            # What may want for memory is done; from here on the belief changes.
+            # Everything that allocates memory is done; from here on the belief changes.
             s.resting.mean[:whole] += moved
             write_active(s, cross)
             s.resting.mean[owner], s.resting.linearised_at[owner] = s.belief.mean[:D], s.belief.linearised_at[:D]
@@ -198,7 +198,7 @@ class Compressed(Room):
         self._keep_base()
 
     def _keep_base(self) -> None:
-        """What is active has been put down in the store: from now on only the base is."""
+        """Everything active has been written to the store: from now on only the base is active."""
         s = self.state
         if len(s.resting.theta) < BASE:
             kept = s.values
@@ -213,7 +213,7 @@ class Compressed(Room):
             s.resting.most_columns = max(4 * BASE, np.sqrt(self.storage.flush_work / (6 * self.dim)))
 
     def _flush_square(self) -> None:
-        """A flush of a square store, at once, both triangles: into the same memory, or into other if that is lent."""
+        """Flush a square store at once, both triangles: in place, or into other memory if the store is lent."""
         s, C, n = self.state, int(self.state.resting.columns), -(-self.dim // TILE) * TILE
         rows = int(s.last.rows) if s.last.active >= 0 else 0
         square = self._squares[0]
@@ -224,7 +224,7 @@ class Compressed(Room):
         X, rank = _half(s, C, 1 + len(added) + rows)
         flush_factors(s, rank, X, added)
         W, V, gain = X @ M, target.room(n * rank), np.empty((rows, self.dim))
-        # What may want for memory is done; from here on the belief changes.
+        # Everything that allocates memory is done; from here on the belief changes.
         if rows:
             self._whole_w = gain  # not asked for before it is filled
         same = target is square
@@ -238,7 +238,7 @@ class Compressed(Room):
             s.resting.store = target.store
 
     def _another_square(self) -> LentMatrix:
-        """Memory for a square store that nobody holds: two that change places do for who holds one P at a time."""
+        """Memory for a square store that no reader holds. Two suffice for a reader that holds one P at a time."""
         free = [square for square in self._squares[1:] if not square.lent]
         return free[0] if free else LentMatrix(self._squares[0].capacity)
 
@@ -272,7 +272,7 @@ class Compressed(Room):
         return out
 
     def _keep_gain(self, M: Array) -> None:
-        """Before the active part changes hands: what `gain_rows` would no longer find in it."""
+        """Save what `gain_rows` needs before the active part changes."""
         if self.state.last.active >= 0 and self.state.last.rows > 0:
             self._whole_w, self.state.last.active = self._gain_rows(M), -1
 
@@ -315,7 +315,7 @@ class Compressed(Room):
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Within the block Ctrl-C waits: a flush takes seconds at times, and half of one is no covariance."""
+    """Defer Ctrl-C within the block. A flush can take seconds, and half a flush leaves no valid covariance."""
     ours = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(ours):
         yield

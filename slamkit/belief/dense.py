@@ -158,7 +158,7 @@ def project(state: Any, n: int, k: int) -> None:
 
 @compiled("real(state, real)")
 def project_and_gate(state: Any, gate: float) -> Any:
-    """All that an update by one sighting of two rows needs, in one pass: its NIS, or -1 if S is not definite.
+    """Everything an update by one sighting of two rows needs, in one pass; gives its NIS, or -1 if S is not definite.
 
     S, L and t are written; where the NIS is within the gate w ← L⁻¹ H P and dx ← wᵀ t too: `project`, `cholesky`,
     `forward` and `whiten` for this case, which is nearly every case.
@@ -299,7 +299,7 @@ def whiten(state: Any, rows: int) -> None:
 
 @compiled("void(matrix, index, vector, vector)")
 def subtract_pair(M: Any, n: int, a: Any, b: Any) -> None:
-    """Lower triangle of M (n, n) ← M - aᵀa - bᵀb; what stands above it, and in up to three rows after it, is spoilt."""
+    """Lower triangle of M (n, n) ← M - aᵀa - bᵀb. Entries above it, and up to three rows after it, are overwritten."""
     for i in range(0, n, 4):
         subtract_four_rows(M, i, a, b, a, b, i + 4)
 
@@ -349,7 +349,8 @@ def augment(state: Any, slot: int) -> None:
 def shear(state: Any) -> None:
     """P ← E P Eᵀ with E = I + e e_θᵀ, e = J(mean - points) for every position, then points ← mean; O(D²).
 
-    It takes a covariance whose lever arms are taken at ``state.belief.linearised_at`` to the current mean. The heading is entry 2.
+    It moves the lever arms of a covariance from ``state.belief.linearised_at`` to the current mean. The heading is
+    entry 2.
     """
     cov, mean, points, e, g = (
         state.belief.cov,

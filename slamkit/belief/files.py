@@ -13,7 +13,7 @@ from slamkit.belief.layout import BASE, BLOCK, FIELDS
 from slamkit.belief.packed import PANEL, packed_bytes
 from slamkit.errors import InputError
 
-#: dtype and shape of every array, see `slamkit.belief.layout.Field`; ``n`` is the number of the estimator's own numbers.
+#: dtype and shape of every array, see `slamkit.belief.layout.Field`. ``n`` is the length of the estimator's own fields.
 FORMS: dict[str, tuple[Any, tuple[str | int, ...]]] = {
     f"{part}.{name}": (np.int64 if field.kind in ("index", "integers") else np.float64, field.file)
     for part, fields in FIELDS.items()

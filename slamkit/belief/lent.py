@@ -1,4 +1,4 @@
-"""A symmetric matrix in memory that is lent out: whoever reads all of P at every step need not wait for a copy."""
+"""A symmetric matrix whose memory is lent to its readers: reading all of P after every step costs no copy."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LentMatrix:
         self._loans: weakref.WeakSet[_Loan] = weakref.WeakSet()
 
     def room(self, n: int) -> Array:
-        """Memory (n,) to work in, from a cache line on; the same at every call."""
+        """Working memory (n,) that starts at a cache line; the same at every call."""
         if len(self._room) < n:
             self._room = aligned(n)
         return self._room[:n]
@@ -49,18 +49,18 @@ class LentMatrix:
 
     @property
     def lent(self) -> bool:
-        """Whether somebody still holds what `lend` gave, or a part of it."""
+        """Whether a reader still holds what `lend` gave, or a part of it."""
         return len(self._loans) > 0
 
     def lend(self, n: int) -> Array:
-        """The first n rows and columns, read-only; as long as somebody holds them, nobody may write to the store."""
+        """The first n rows and columns, read-only. The store must not be written to while a reader holds them."""
         loan = _Loan(self.store, self._address, self.row_stride, n)
         self._loans.add(loan)
         return np.asarray(loan)
 
 
 class _Loan:
-    """What every array that shows the matrix holds on to, and nobody else."""
+    """The object that keeps the memory alive. Every array that shows the matrix refers to it, and nothing else does."""
 
     def __init__(self, store: Array, address: int, lead: int, n: int) -> None:
         self._store = store

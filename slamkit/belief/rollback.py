@@ -6,7 +6,7 @@ from typing import Any
 
 from slamkit.compiled import compiled, intrinsics
 
-#: A belief with room for no more than this is saved before a step, not asked beforehand whether the step will work.
+#: A belief with room for no more than this is saved before each step, which costs less than checking every sighting.
 SMALL = 48
 #: Where the rows of the last update begin in what is saved: after z, y, t, S and L of two rows.
 LAST = 16
@@ -16,7 +16,7 @@ LAST = 16
 
 @compiled("void(state)")
 def save_small(state: Any) -> None:
-    """Keep a small belief, nothing of which rests, and its last update, of at most two rows."""
+    """Save a small belief, in which nothing rests, and its last update, of at most two rows."""
     last, saved, D, n = state.last, state.scratch.saved, state.belief.active, state.belief.mean.shape[0]
     for r in range(2):
         out = saved[7 * r : 7 * r + 7]
@@ -35,7 +35,7 @@ def save_small(state: Any) -> None:
 
 @compiled("void(state, index)")
 def undo_small(state: Any, D: int) -> None:
-    """Bring back what `save_small` has kept of a belief of D dimensions."""
+    """Restore what `save_small` saved of a belief of D dimensions."""
     last, saved, n = state.last, state.scratch.saved, state.belief.mean.shape[0]
     for r in range(2):
         out = saved[7 * r : 7 * r + 7]

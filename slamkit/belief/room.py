@@ -44,7 +44,7 @@ class Room:
             "scratch": {},
         }
         kept["belief"] |= {"owner": np.arange(b), "local": np.arange(b)}
-        self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, room=b + BLOCK * min(8, storage.limit))
+        self._lay_out(kept, capacity=b + 8 * BLOCK, sightings=8, columns=0, room=b + BLOCK * int(min(8, storage.limit)))
 
     def _flush_prices(self) -> dict[str, float]:
         """What decides when to flush, see `slamkit.cycle.upkeep`."""
@@ -64,8 +64,9 @@ class Room:
             "own": own, "saved": LAST + SMALL * (SMALL + 4) + own,
         }  # fmt: skip
         values: dict[str, Any] = {"own": aligned(own)}
-        fixed = self.own_fields.fixed
-        values["own"][:fixed] = kept["own"][:fixed] if "own" in kept else 0.0
+        if "own" in kept:
+            held = min(own, len(kept["own"]))
+            values["own"][:held] = kept["own"][:held]
         for part, fields in FIELDS.items():
             values[part] = {}
             for name, field in fields.items():
@@ -123,7 +124,7 @@ class Room:
         self._lay_out(s.values, capacity, sightings, len(s.resting.theta), room)
 
     def hint_final_size(self, blocks: int) -> None:
-        """This many further blocks may come: a store that is made from now on has room for them, if the cap allows.
+        """Say how many further blocks may come: a store made from now on has room for them, if the cap allows.
 
         Memory that is not written to yet is none.
         """
@@ -152,13 +153,13 @@ class Room:
         self._lay_out(s.values, capacity, self._sightings, columns, self._map_room(self.dim + new))
 
     def _affordable(self, need: int, wanted: int) -> int:
-        """Active coordinates to make room for: those that are wanted, but within the cap."""
+        """Active coordinates to make room for: as many as wanted, but within the cap."""
         which, need, wanted = " active" if self.compressed else "", whole_vectors(need), whole_vectors(wanted)
         self.storage.afford(8 * need**2, f"the covariance of {(need - self.base) // BLOCK}{which} landmarks")
         return wanted if 8 * wanted**2 <= self.storage.cap else isqrt(int(self.storage.cap / 8)) // 4 * 4
 
     def _map_room(self, whole: int) -> int:
-        """Coordinates of the map to make room for, so that a map that is to be compressed can be stored, too."""
+        """Coordinates of the map to make room for, including what the store of a compressed map needs."""
         have, limit = len(self.state.belief.local), self.state.resting.limit
         if whole <= have:
             return have

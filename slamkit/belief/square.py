@@ -38,7 +38,7 @@ def rows_at_flush_square(state: Any, M: Any) -> None:
 
 @compiled("void(state, index, matrix, integers)")
 def flush_factors(state: Any, rank: int, X: Any, added: Any) -> None:
-    """Rows of X that M = P⁰[A₀, b] is to be multiplied by for all that a flush of b needs.
+    """Rows of X by which a flush multiplies M = P⁰[A₀, b].
 
     The first `rank` rows are there, B with BᵀB = Ψ and rows of zeros. Then come ϑ, Φ of what is `added`, and L⁻¹HΦ.
     That is filled in, too: the active coordinates of the base and of landmarks that do not stand in the store yet.

@@ -17,19 +17,19 @@ COMPRESS_ABOVE = 64
 
 @dataclass(frozen=True)
 class Storage:
-    """How a filter keeps a large covariance; nothing here changes what it says.
+    """How a filter keeps a large covariance. No choice changes an estimate by more than rounding.
 
     Parameters
     ----------
     compress_above : int, optional
-        Landmarks above which corrections of what is not in sight are postponed to a flush. None: above 64, unless
-        that turns out not to pay, for nearly all of a small map is sighted all the time. A variant whose every update
-        moves every landmark never postpones.
+        Number of landmarks above which the filter defers updates to landmarks that are out of view. None: above 64,
+        unless deferring turns out to cost more, as on a small map of which nearly all is sighted all the time. An
+        estimator whose every update moves every landmark never defers.
     flush_work : float, optional
-        Multiply-adds that one step may spend on a flush, which is then spread over as many steps as it needs; None
-        does it whole, at once. A core does some 10 to 40 multiply-adds in a nanosecond.
+        Multiply-adds that one step may spend on a flush. The flush is then spread over as many steps as it needs.
+        None: each flush is done at once. One core does 10 to 40 multiply-adds in a nanosecond.
     memory_cap : float, optional
-        Bytes that a covariance may take; None: four fifths of the machine's memory.
+        Largest covariance [bytes]. None: four fifths of the machine's memory.
 
     Raises
     ------
@@ -50,12 +50,12 @@ class Storage:
 
     @property
     def limit(self) -> int:
-        """Landmarks above which corrections are postponed."""
+        """Number of landmarks above which updates are deferred."""
         return COMPRESS_ABOVE if self.compress_above is None else self.compress_above
 
     @property
     def cap(self) -> float:
-        """Bytes that a covariance may take."""
+        """Largest covariance [bytes]."""
         return _machine_memory() if self.memory_cap is None else self.memory_cap
 
     def afford(self, size: int, what: str) -> None:

@@ -65,7 +65,9 @@ def compare_filters(
     json_: options.Json = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Write report.md and figures. Runs are kept there, to resume from."),
+        typer.Option(
+            "--out", metavar="DIR", help="Write report.md, tables and figures. Runs are kept there, to resume from."
+        ),
     ] = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -109,7 +111,7 @@ def compare_filters(
     title = f"{study.world}: {'a recorded log, aligned with the truth it has' if source.recorded else runs_of}"
     where = [] if out is None else [f"Report and figures are in {out}"]
     wrong = failures(study)
-    if all(not study.finished(name) for name in study.filters):
+    if study.all_failed:
         why = next(t.error for t in study.failures)
         raise RunError(f"every run of every filter failed; the first: {study.failures[0].filter}: {why}")
     to_stderr = outputs.json_on_stdout
@@ -179,9 +181,11 @@ def study_with_bar(
 
 
 def write_study(folder: Path, study: Study) -> None:
-    """Write report.md, summary.json and the figures of a study."""
+    """Write report.md, summary.json, trials.csv, summary.tex and the figures of a study."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "report.md").write_text(study.report(), encoding="utf-8")
     write_json(folder / "summary.json", study.summary())
+    study.to_csv(folder / "trials.csv")
+    study.to_latex(folder / "summary.tex")
     for name, figure in study.figures().items():
         write_figure(folder / f"{name}.png", figure)

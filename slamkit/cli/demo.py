@@ -75,8 +75,6 @@ def correlation_figure(f: Any, log: Log, instants: int = 60) -> Figure:
     instants : int
         How many times the density is measured.
     """
-    from matplotlib.figure import Figure
-
     at = set(np.geomspace(1, len(log), instants).round().astype(int).tolist())  # most of them while the map grows
     covariances, times = [], []
     for step, (time, u, dt, scan) in enumerate(log, 1):
@@ -89,11 +87,11 @@ def correlation_figure(f: Any, log: Log, instants: int = 60) -> Figure:
             times.append(time)
     dims = np.array([len(P) for P in covariances])
     shown = [int(np.argmax(dims >= 3 + (dims[-1] - 3) / 3)), int(np.argmax(dims == dims[-1])), len(dims) - 1]
-    figure = Figure(figsize=(10.0, 6.4), layout="constrained")
-    panels = figure.subplot_mosaic([["a", "b", "c"], ["density"] * 3], height_ratios=[1.3, 1.0])
-    for panel, k in zip("abc", shown, strict=True):
-        ids = f.landmark_ids[: (dims[k] - 3) // 2]
-        plots.plot_correlation(panels[panel], covariances[k], ids, times[k], colorbar=panel == "c")
-    plots.plot_density(panels["density"], covariances, times)
-    panels["density"].set_xscale("log")
+    with plots.new_figure(10.0, 6.4) as figure:
+        panels = figure.subplot_mosaic([["a", "b", "c"], ["density"] * 3], height_ratios=[1.3, 1.0])
+        for panel, k in zip("abc", shown, strict=True):
+            ids = f.landmark_ids[: (dims[k] - 3) // 2]
+            plots.plot_correlation(panels[panel], covariances[k], ids, times[k], colorbar=panel == "c")
+        plots.plot_density(panels["density"], covariances, times)
+        panels["density"].set_xscale("log")
     return figure

@@ -62,6 +62,7 @@ def run_table(title: str, run: Assessment) -> Table:
         ("heading RMSE [deg]", s["heading_rmse_deg"], baseline.heading_rmse_deg),
         ("landmark RMSE [m]", s["landmark_rmse_m"], None),
         ("mean NIS" if expected is None else f"mean NIS (consistent: {expected:g})", s["nis_mean"], None),
+        ("poses with a truth", s["matched"], baseline.matched),
         ("steps", steps, None),
         ("sightings", s["observations"], None),
         ("rejected sightings", s["rejected"], None),
@@ -83,11 +84,11 @@ JUDGED = {
     "pose\nNEES (3)": "pose_nees",
     "gauge\nNEES (3)": "gauge_nees",
     "relative\nNEES/dof\n(1)": "relative_nees_per_dof",
-    "nullity\n(3)": "nullity",
+    "nullity": "nullity",
 }
 UNJUDGED = {
     "NIS/dof\n(1)": "nis_per_dof",
-    "nullity\n(3)": "nullity",
+    "nullity": "nullity",
     "gauge\ndeviation\nfalls by": "gauge_deviation_drop",
     "stochastic\ngauge [m]": "stochastic_gauge_m",
     "time\na step\n[µs]": "seconds_per_step",
@@ -95,13 +96,18 @@ UNJUDGED = {
 
 
 def comparison_table(study: Study, title: str) -> Table:
-    """A table with a row for each filter. Parentheses hold what a consistent filter is expected to have."""
+    """A table with a row for each filter. Parentheses hold what a consistent filter is expected to have.
+
+    The expected nullity depends on the models: 3, unless they anchor the map.
+    """
     summary = study.summary()
     judged = any(numbers["pose_nees"] is not None for numbers in summary.values())
     table = Table(title=Text(title))
     table.add_column("", overflow="fold")
     columns = JUDGED if judged else UNJUDGED
-    for heading in columns:
+    for heading, key in columns.items():
+        if key == "nullity" and study.unobservable is not None:
+            heading = f"{heading}\n({study.unobservable})"
         table.add_column(heading, justify="right", no_wrap=True)
     for name, numbers in summary.items():
         table.add_row(name, *[_cell(key, numbers[key]) for key in columns.values()])

@@ -57,18 +57,18 @@ def compile_cached(function: Any, make_source: Callable[[], Any], *, in_table: b
     signature = load_numba_types().signature_of(function.signature, in_table=in_table)
     place = _folder_of(function, in_table)
     if place is None:
-        return _compile(make_source(), signature, None)
+        return _compile(make_source(), signature, None, in_table)
     if place.is_dir():
-        dispatcher = _load(function.function, signature, place)
+        dispatcher = _load(function.function, signature, place, in_table)
         if dispatcher is not None:
             return dispatcher
         shutil.rmtree(place, ignore_errors=True)
     try:
         scratch = Path(tempfile.mkdtemp(prefix=".", dir=place.parent))
     except OSError:
-        return _compile(make_source(), signature, None)
+        return _compile(make_source(), signature, None, in_table)
     try:
-        dispatcher = _compile(make_source(), signature, scratch)
+        dispatcher = _compile(make_source(), signature, scratch, in_table)
         if any(scratch.iterdir()):
             (scratch / CHECKSUM).write_text(_checksum(scratch), encoding="ascii")
             # Another process may have been faster: its folder is as good.
@@ -80,13 +80,13 @@ def compile_cached(function: Any, make_source: Callable[[], Any], *, in_table: b
     return dispatcher
 
 
-def _load(source: Any, signature: Any, place: Path) -> Any:
+def _load(source: Any, signature: Any, place: Path, in_table: bool) -> Any:
     """The dispatcher that was stored in a folder, or None where that is damaged or Numba holds it for outdated."""
     from numba.core.errors import NumbaError
 
     if _is_whole(place):
         try:
-            return _compile(source, signature, place)
+            return _compile(source, signature, place, in_table)
         except NumbaError:  # it holds the file of the source for changed, and cannot compile this form of it
             return None
         except Exception:  # whatever Numba's reader stumbles over
@@ -95,12 +95,13 @@ def _load(source: Any, signature: Any, place: Path) -> Any:
     return None
 
 
-def _compile(source: Any, signature: Any, folder: Path | None) -> Any:
+def _compile(source: Any, signature: Any, folder: Path | None, in_table: bool) -> Any:
     import numba
     from numba.core.errors import NumbaExperimentalFeatureWarning
 
     # contract lets a·b + c be one instruction; no other rule of floating-point arithmetic is relaxed.
     options = {"fastmath": {"contract"}, "error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+    options["no_cpython_wrapper"] = in_table  # Python never calls these
     with warnings.catch_warnings(), _numba_caches_in(folder):
         warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
         try:

@@ -59,7 +59,7 @@ class OwnType(types.Type):
 class Passed(types.Array):
     """Type of an array as an argument of a function in a table: its address and its extents.
 
-    Numba passes five words and two for each dimension, most of which nobody reads. A sighting passes twenty arrays.
+    Numba passes five words and two for each dimension, and few of them are read. A sighting passes twenty arrays.
     """
 
     def __init__(self, array: Any) -> None:

@@ -78,7 +78,7 @@ def copy_fours(typing: Any, source: Any, first: Any, target: Any, at: Any, n: An
 
 
 def _project_four(pose: bool) -> Any:
-    """An intrinsic for four rows, or for the first four, of which three are the pose's."""
+    """An intrinsic for four rows, or for the first four, three of them the pose's."""
 
     @intrinsic
     def project(
@@ -138,7 +138,7 @@ def _project_four(pose: bool) -> Any:
 
 
 #: ``(P, i, slot, first, second, t, w0, w1, dx)``: entries i … i + 3 of w0 ← P h for the five factors `first` of the
-#: pose's columns and the landmark's two, of w1 likewise with `second`, and of dx ← t[0] w0 + t[1] w1, i > 3. P is a
+#: pose's columns and the landmark's two, of w1 with the factors `second`, and of dx ← t[0] w0 + t[1] w1, i > 3. P is a
 #: lower triangle.
 project_four = _project_four(pose=False)
 #: The same for i = 0.

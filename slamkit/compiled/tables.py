@@ -54,6 +54,7 @@ class Table:
     """
 
     def __init__(self, name: str, **fields: str | Table) -> None:
+        assert not {"table", "values", "address"} & fields.keys(), f"a reserved name in the table {name}"
         self.name, self.fields = name, fields
         self.first: dict[str, int] = {}
         self.words = 0
@@ -77,7 +78,7 @@ def is_function(kind: object) -> bool:
 
 
 def aligned(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """An array of zeros that starts at a cache line: a vector register across two lines takes twice the time to load."""
+    """An array of zeros that starts at a cache line: to load a vector register across two lines takes twice as long."""
     line, kind = 8 * TILE, np.dtype(dtype)
     size = kind.itemsize * int(np.prod(shape))
     memory = np.zeros(size + line, dtype=np.uint8)

@@ -10,7 +10,7 @@ from slamkit.compiled import compiled, rows_of
 
 @compiled("void(state, index, index)")
 def record_non_finite(state: Any, place: int, k: int) -> None:
-    """The sighting at this place of the scan gave no finite numbers: it is refused."""
+    """Record that the sighting at this place of the scan gave no finite numbers. It counts as rejected."""
     state.scratch.non_finite += 1
     state.scratch.accepted[place], state.scratch.nis[place] = False, inf
     for r in range(k):
@@ -19,7 +19,7 @@ def record_non_finite(state: Any, place: int, k: int) -> None:
 
 @compiled("flag(policy, models, state, index)", generic=True)
 def linearise_one(policy: Any, models: Any, state: Any, j: int) -> bool:
-    """Linearise sighting j of ``state.scratch.slots`` at ``state.scratch.at``; False, and it is refused, without finite numbers."""
+    """Linearise sighting j of ``scratch.slots`` at ``scratch.at``. Without finite numbers it is rejected: False."""
     k = models.R.shape[0]
     at, y, H_pose, H_landmark, first = (
         state.scratch.at,
@@ -42,9 +42,9 @@ def linearise_one(policy: Any, models: Any, state: Any, j: int) -> bool:
 
 @compiled("index(policy, models, state, index)", generic=True)
 def linearise(policy: Any, models: Any, state: Any, n: int) -> int:
-    """Linearise the n sightings in ``state.scratch.slots`` at ``state.scratch.at``; how many of them gave finite numbers.
+    """Linearise the n sightings in ``scratch.slots`` at ``scratch.at``. Gives how many of them gave finite numbers.
 
-    Those that did not (a landmark that an earlier sighting of the scan moved onto the robot) are refused.
+    The others are rejected, such as a landmark that an earlier sighting of the scan moved onto the robot.
     """
     k = models.R.shape[0]
     slots, order, z, at = state.scratch.slots, state.scratch.order, state.last.z, state.scratch.at
@@ -84,7 +84,7 @@ def shift_innovation(state: Any, n: int, k: int) -> None:
 
 @compiled("real(state, index)")
 def move_iterate(state: Any, n: int) -> float:
-    """Move ``state.scratch.at`` to mean + dx; the largest change."""
+    """Move ``state.scratch.at`` to mean + dx; gives the largest change."""
     change = 0.0
     for c in range(3):
         new = state.belief.mean[c] + state.scratch.dx[c]

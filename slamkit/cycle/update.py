@@ -27,7 +27,7 @@ def noise_is_lost(state: Any, first: int, k: int) -> bool:
 
 @compiled("index(policy, models, state, index)", generic=True)
 def gate_sightings(policy: Any, models: Any, state: Any, n: int) -> int:
-    """Record each innovation and NIS, drop those beyond the gate; how many stay, -1 if S is not definite."""
+    """Record each innovation and NIS, reject those beyond the gate. Gives how many stay, -1 if S is not definite."""
     k = models.R.shape[0]
     kept = 0
     for j in range(n):
@@ -73,7 +73,7 @@ def variances_hold(state: Any, n: int) -> Any:
 
 @compiled("void(state, index)")
 def record_rejected(state: Any, rows: int) -> None:
-    """An update beyond the gate is on record with y, S and L as they are and a gain of zero: it has changed nothing."""
+    """Record an update beyond the gate: y, S and L as they are, and a gain of zero. It changes nothing else."""
     state.last.rows, state.last.active, state.last.dim = rows, state.belief.active, state.belief.dim
     for r in range(rows):
         for i in range(state.belief.active):
@@ -84,7 +84,7 @@ def record_rejected(state: Any, rows: int) -> None:
 
 @compiled("index(state, index)")
 def record_all_rejected(state: Any, rows: int) -> int:
-    """`record_rejected` all rows of an update that is not factored yet."""
+    """Factor S of an update and record all of its rows as rejected."""
     if not cholesky(state.last.S, state.last.L, 0, rows):
         return NOT_DEFINITE
     forward(state.last.L, state.last.y, state.last.t, 0, rows)

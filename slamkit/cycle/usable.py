@@ -13,7 +13,7 @@ CLOSE = 1e10
 
 @compiled("index(models, state, integers, matrix)", generic=True)
 def first_unusable(models: Any, state: Any, slots: Any, z: Any) -> int:
-    """The first sighting that the sensor cannot use from ``state.scratch.pose``, or -1; asked before anything changes."""
+    """The first sighting that the sensor cannot use from ``scratch.pose``, or -1; asked before anything changes."""
     for i in range(slots.shape[0]):
         landmark = state.scratch.at[:2]
         if slots[i] >= 0:

@@ -15,31 +15,32 @@ class EKFSLAM(LandmarkFilter, ExtendedKalmanFilter):  # type: ignore[misc, overr
     motion : MotionModel
         How the robot moves; one of `slamkit.models` or your own.
     sensor : SensorModel
-        How it sees a landmark; likewise.
+        How it sees a landmark; one of `slamkit.models` or your own.
     pose : array_like (3,)
         Where it starts: x [m], y [m], θ [rad].
     pose_covariance : array_like (3, 3), optional
-        How well that is known; None: exactly, which is the rule in SLAM, where the start defines the map's frame.
+        Covariance of the start. None: known exactly, as usual in SLAM, where the start defines the frame of the map.
     order : {"sequential", "batch"}
-        A scan's sightings one after the other, each linearised anew, or as one stacked update.
+        Use the sightings of a scan one after the other, each linearised anew, or as one stacked update.
     gate : float, optional
-        Largest NIS yᵀS⁻¹y that is accepted; None accepts every sighting. After one that is not, y, S and z are its own
-        and K is zero.
+        Largest NIS yᵀS⁻¹y that is accepted; None accepts every sighting. After a rejected sighting y, S and z are those
+        of that sighting, and K is zero.
     snapshots : bool
-        True keeps x_prior, P_prior, x_post and P_post as filterpy does, at the cost of two copies of P a step.
+        True keeps x_prior, P_prior, x_post and P_post as filterpy does, at the cost of copies of the filter and of P in
+        every step. Nothing else changes.
     storage : Storage, optional
-        From how many landmarks on the covariance is kept compressed, how a flush is spread over steps, how much memory
-        it may take. The defaults fit; no choice changes an answer by more than rounding.
+        When the covariance is kept compressed, how a flush is spread over steps, and how much memory it may take. No
+        choice changes an estimate by more than rounding.
 
     Attributes
     ----------
     pose, pose_covariance, landmarks
         The belief, without materialising P.
     x, P, y, S, K, z, log_likelihood, likelihood, mahalanobis
-        As in filterpy; y, S, K and z are of the last update. x and P are read-only and stay what they were when they
-        were read: assign to change the filter.
-    gate
-        The parameter; it may be assigned to.
+        As in filterpy; y, S, K and z are those of the last update. x and P are read-only snapshots. To change the
+        filter, assign to them.
+    motion, sensor, order, gate
+        The parameters. Assigning takes effect from the next step on. Other names cannot be assigned.
 
     Raises
     ------
@@ -50,11 +51,13 @@ class EKFSLAM(LandmarkFilter, ExtendedKalmanFilter):  # type: ignore[misc, overr
 
     Notes
     -----
-    On a small map a prediction costs O(D) and a sighting O(D²). On a large one a step costs O(A²), where A is the
-    dimension of what has been in sight since the last flush, and a flush, now and then, O(A D²) in BLAS: exact, for
-    what is not in sight enters no measurement. Reading `P`, `F`, `Q` or `K` forms it; P flushes. Everything else is
-    read without a flush. The standard EKF claims too small a covariance for the heading, which nothing measures: see
-    the consistent variants.
+    On a small map a prediction costs O(D) and a sighting O(D²). On a large map updates to landmarks that are out of
+    view are deferred: a step costs O(A²), where A is the dimension of everything seen since the last flush, and an
+    occasional flush costs O(A D²) in BLAS. The result is exact. Reading `P`, `F`, `Q` or `K` forms the matrix, and
+    reading P flushes; everything else is read without a flush.
+
+    The standard EKF underestimates the uncertainty of the heading, which no measurement observes. The consistent
+    estimators of the family do not.
 
     References
     ----------

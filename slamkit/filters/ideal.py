@@ -21,8 +21,8 @@ from slamkit.filters.running import Progress
 from slamkit.logs import History, Log, Schedule, Truth, decode_id, encode_id
 from slamkit.protocols import MotionModel, SensorModel
 
-# ``state.belief.linearised_at`` holds the true state. The own fields are the true pose that a prediction arrives at, and
-# the true positions of the landmarks of a scan.
+# ``belief.linearised_at`` holds the true state. The own fields are the true pose that a prediction arrives at, and the
+# true positions of the landmarks of a scan.
 own = OwnFields({"true_landmarks": 2}, true_pose=3)
 
 
@@ -173,8 +173,13 @@ class IdealEKFSLAM(EKFSLAM):
         if self.truth is None:
             self._learn(None)
         self._belief.reserve(0, len(ids))
-        self._tell(self.time + dt, ids)
-        super()._run_step(u, dt, ids, z)
+        before = self._belief.state.own.copy()
+        try:
+            self._tell(self.time + dt, ids)
+            super()._run_step(u, dt, ids, z)
+        except BaseException:
+            self._belief.state.own[: len(before)] = before
+            raise
         self.time += dt
 
     def _true_pose(self, time: float) -> Array:

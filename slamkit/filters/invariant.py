@@ -14,7 +14,7 @@ from slamkit.filters import first_estimates
 from slamkit.filters.ekf import EKFSLAM
 from slamkit.se2 import wrap_angle
 
-# Within a scan the covariance is kept in the error δ of the points c = ``state.belief.linearised_at`` (the means before the scan):
+# Within a scan the covariance is kept in the error δ of the points c = ``belief.linearised_at``, the means before it:
 # δ = ξ + (J c) ξθ, a constant linear image of the invariant error ξ. Then H, G_x are those of first estimates, and
 # exp(ξ) moves a position y to c + R(ξθ)(y - c) + V(ξθ) δ, since V J ξθ = R - I. Standard coordinates differ from δ
 # by the shear T(y - c), so `shear` returns to them before the next prediction, which then costs O(D).

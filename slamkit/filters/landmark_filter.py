@@ -52,8 +52,10 @@ class LandmarkFilter(FilterpyAttributes):
     linearisation_points: ClassVar[str] = "mean"  #: field of the belief at which the Jacobians take their lever arms
     longest_stretch: ClassVar[int] = sys.maxsize  #: steps that one compiled call over a log may take
     compresses: bool = True  #: whether an update leaves alone what is not in sight, so that it may rest
-    fixed_attributes: ClassVar[tuple[str, ...]] = ("name", "functions", "own_fields", "iterations", "base", "linearisation_points", "compresses",
-                        "longest_stretch", "snapshots", "storage", "dim_z", "dim_u", "B")  # fmt: skip
+    fixed_attributes: ClassVar[tuple[str, ...]] = (
+        *("name", "functions", "own_fields", "iterations", "base", "linearisation_points", "compresses"),
+        *("longest_stretch", "snapshots", "storage", "dim_z", "dim_u", "B"),
+    )
 
     def __init__(
         self,

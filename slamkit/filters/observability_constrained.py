@@ -13,29 +13,36 @@ from slamkit.filters.ekf import EKFSLAM
 
 # All lever arms are first estimates moved by one common vector -Δ, so that their differences stay what they were;
 # Δ is the least-squares choice over the robot and the landmarks of the scan, which is what the published linear
-# system solves. ``own`` holds Δ = `shift` and the `position` before the last prediction; ``state.belief.linearised_at[:2]`` is
+# system solves. The own fields are Δ = `shift`, the `position` before the last prediction, and whether
+# that is `pending`: no scan has followed it yet. ``state.belief.linearised_at[:2]`` is
 # q = p_{k|k-1} + Δ, so that l_first - q is the lever arm.
 
 
-own = OwnFields(shift=2, position=2)
+own = OwnFields(shift=2, position=2, pending=1)
 
 
 @compiled("void(models, state, vector, real)", generic=True)
 def motion(models: Any, state: Any, u: Any, dt: float) -> None:
-    """F for a scan that sees nothing; `scan` moves the lever arm when it knows what is seen."""
+    """F for a scan that sees nothing; `prepare_scan` moves the lever arm when it knows what is seen."""
     standard_motion(models, state, u, dt)
     mine = own(state)
+    mine.pending = 1.0
     mine.position[0], mine.position[1] = state.belief.mean[0], state.belief.mean[1]
 
 
 @compiled("void(models, state, integers, flag)", generic=True)
 def prepare_scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
     """Choose Δ as the mean of q - p and of l_first - l̂ over the known landmarks of the scan."""
-    if not moved:
-        return
     mine, points, mean = own(state), state.belief.linearised_at, state.belief.mean
     shift, position = mine.shift, mine.position
-    tentative_x, tentative_y = points[0] - position[0], points[1] - position[1]
+    if mine.pending == 0.0:
+        return
+    if moved:
+        tentative_x, tentative_y = points[0] - position[0], points[1] - position[1]
+    else:  # the prediction was a call of its own, and chose for a scan that sees nothing
+        tentative_x, tentative_y = shift[0], shift[1]
+    if slots.shape[0] > 0:
+        mine.pending = 0.0
     x, y, n = tentative_x, tentative_y, 1
     for slot in slots:
         if slot >= 0:

@@ -13,8 +13,8 @@ from slamkit.filters.regressions import motion as ukf_motion
 from slamkit.filters.regressions import sensor as ukf_sensor
 from slamkit.filters.ukf import UKFSLAM
 
-# No measurement sees N = [I, J q; 0 1; I, J cᵢ …], where ``state.belief.linearised_at`` holds q, the last predicted position, and the
-# cᵢ, the landmarks' first estimates. With H = [H_p h_θ H_l] on the pose and one landmark, H N = 0 reads
+# No measurement sees N = [I, J q; 0 1; I, J cᵢ …], where ``belief.linearised_at`` holds q, the last predicted position,
+# and the cᵢ, the landmarks' first estimates. With H = [H_p h_θ H_l] on the pose and one landmark, H N = 0 reads
 #     H_p = -H_l,   h_θ = -(H_p J q + H_l J c) = -H_l J (c - q):
 # the landmark's columns, which the regression always has (a landmark is never known exactly), give the others.
 # Likewise F N = N' gives F = [I, J (p' - q); 0 1], and a landmark's start G = [I, J (l - q)].

@@ -131,7 +131,7 @@ def turn_rows(M: Any, n: int, angle: float) -> None:
 
 @compiled("void(matrix, index, index, real)")
 def turn_columns(M: Any, rows: int, n: int, angle: float) -> None:
-    """Rotate columns likewise: M diag(R, 1, R, …)ᵀ."""
+    """Rotate columns (0, 1), (3, 4), (5, 6), … of the first n by `angle`: M diag(R, 1, R, …)ᵀ."""
     c, s = cos(angle), sin(angle)
     for i in range(rows):
         for pair in range((n - 1) // 2):
@@ -282,7 +282,7 @@ def whole_motion(models: Any, state: Any, u: Any, dt: float) -> None:
 
 @compiled("void(models, state, index, index, vector)", generic=True)
 def whole_initialise(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
-    """Sigma points of the whole state and the measurement's noise, likewise."""
+    """Sigma points of the whole state and the measurement's noise; only those of the pose matter."""
     regress_initialise(models, state, slot, z, state.belief.active + z.shape[0])
 
 
@@ -389,9 +389,9 @@ def regress(models: Any, state: Any, n: int) -> int:
 
 @compiled("index(policy, models, state, index)", generic=True)
 def whole_update(policy: Any, models: Any, state: Any, n: int) -> Any:
-    """One update by the n sightings in ``state.scratch.slots`` and ``state.last.z``, stacked with what their errors share.
+    """One update by the n sightings in ``scratch.slots`` and ``last.z``, stacked, with the covariance of their errors.
 
-    Those beyond the gate, or that gave no finite numbers, are left out and the rest is reckoned anew.
+    Sightings beyond the gate, or without finite numbers, are left out, and the others are computed again.
     """
     k = models.R.shape[0]
     kept = regress(models, state, n)

@@ -22,8 +22,8 @@ from slamkit.se2 import wrap, wrap_angle
 # The belief is (r, B, l₁ …) in the frame of the robot at the last composition: r the robot, B the frame in which it
 # started, lᵢ the landmarks. In the world the start is the constant a = ``own(state).start``, so that the world's pose
 # of the robot is a ∘ B⁻¹ ∘ r and R(ψ), ψ = θ_a - θ_B, leads to world axes. (The world's own frame in the place of B
-# would make corrections depend, in second order, on where the world has its origin.) `corrected` is 1 where a correction
-# has come since the last composition, `psi` is ψ at the last prediction.
+# would make corrections depend, in second order, on where the world has its origin.) Own fields: `corrected` is 1 where
+# an update has come since the last composition, `psi` is ψ at the last prediction, `start` is a.
 own = OwnFields(corrected=1, psi=1, start=3)
 
 
@@ -306,7 +306,7 @@ def in_world(mean: Array, start: Array) -> Array:
 def covariance_in_world(mean: Array, covariance: Array, start: Array) -> Array:
     """W P Wᵀ (3 + 2n, 3 + 2n), W = ∂in_world/∂mean at `mean` (6 + 2n,).
 
-    Each entry is reckoned by itself, so that it comes out the same to the bit whatever stands beside it.
+    Each entry is computed by itself, so that it does not depend on which others are asked for.
     """
     x, psi = in_world(mean, start), start[2] - mean[5]
     at, c, s = np.r_[0, 3 : len(x) : 2], np.cos(psi), np.sin(psi)

@@ -17,6 +17,11 @@ class Schedule(NamedTuple):
     control: Indices  #: (K,) row of ``Log.controls`` that acts in the step; -1 where dt is 0
     first: Indices  #: (K + 1,) observations first[k] … first[k+1]-1 belong to step k
 
+    @property
+    def start_time(self) -> float:
+        """Time at which the first step begins [s]; 0 without steps."""
+        return float(self.times[0] - self.dt[0]) if len(self.times) else 0.0
+
 
 def make_schedule(
     control_times: Array, observation_times: Array, observation_ids: Indices, end: float, increments: bool

@@ -129,9 +129,11 @@ def log_ticks(ax: Axes) -> None:
         ax.xaxis.set_major_locator(LogLocator())
 
 
-def since_start(times: Array, run: Array) -> Array:
-    """Times since the first step of a run [s]."""
-    return times - run[0] if len(run) else times
+def since_start(times: Array, run: Array, start: float | None) -> Array:
+    """Times since `start` or, if that is None, since the end of the first step of a run [s]."""
+    if start is None:
+        start = float(run[0]) if len(run) else 0.0
+    return times - start
 
 
 def break_at_gaps(times: Array, *series: Array) -> list[Array]:

@@ -124,6 +124,7 @@ def plot_errors(
     *,
     sigmas: float = 3.0,
     tolerance: float = 0.1,
+    start: float | None = None,
     legend: bool = True,
 ) -> Artists:
     """Errors of x, y and heading over time, with the claimed ±3σ.
@@ -145,14 +146,17 @@ def plot_errors(
         Half width of the band in claimed standard deviations.
     tolerance : float
         Largest time between an estimate and its truth [s], as in :func:`slamkit.evaluate.trajectory.evaluate`.
+    start : float, optional
+        Time at which the first step begins [s], such as ``log.schedule.start_time``: the time axis begins there. By
+        default it begins at the end of the first step, because a history does not hold where that begins.
     legend : bool
         False if :func:`shared_legend` or the caller adds one.
 
     Returns
     -------
     dict
-        band (3), and error (3) if there is a truth for any estimate: [m], [m] and [deg] over the time since the first
-        step [s].
+        band (3), and error (3) if there is a truth for any estimate: [m], [m] and [deg] over the time since the start
+        [s].
     """
     axes = list(axes)
     if len(axes) != 3:
@@ -165,7 +169,7 @@ def plot_errors(
     variances = np.einsum("ij,kjl,il->ki", T, history.pose_covariances.reshape(-1, 3, 3), T)
     # A negative variance has no standard deviation: the band has a gap there.
     band = sigmas * np.sqrt(np.where(variances >= 0, variances, np.nan)) * to_units
-    elapsed = since_start(history.times, history.times)
+    elapsed = since_start(history.times, history.times, start)
     artists: Artists = {
         "band": [
             ax.fill_between(
@@ -190,6 +194,8 @@ def plot_errors(
         ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
         ax.set_ylabel(label)
         ax.margins(x=0)
+        if start is not None and len(elapsed):
+            ax.set_xlim(0, max(float(elapsed.max()), 1e-9))
     axes[-1].set_xlabel("time since start [s]")
     if legend:
         add_legend(axes[0])
@@ -203,6 +209,7 @@ def plot_nis(
     window: int | None = None,
     probability: float = 0.95,
     log: bool | None = None,
+    start: float | None = None,
     legend: bool = True,
 ) -> Artists:
     """Normalised innovation squared (NIS) over time, with its χ² bands.
@@ -220,16 +227,19 @@ def plot_nis(
         Probability of a band.
     log : bool, optional
         Logarithmic axis. By default, if a value exceeds four times the upper edge of the band of one sighting.
+    start : float, optional
+        Time at which the first step begins [s], such as ``log.schedule.start_time``: the time axis begins there. By
+        default it begins at the end of the first step, because a history does not hold where that begins.
     legend : bool
         False if :func:`shared_legend` or the caller adds one.
 
     Returns
     -------
     dict
-        Those drawn of: nis, rejected, mean, band, mean_band. NIS [1] over the time since the first step [s].
+        Those drawn of: nis, rejected, mean, band, mean_band. NIS [1] over the time since the start [s].
     """
     p, d, look = checked_probability(probability), history.dof, style(history.filter)
-    elapsed = since_start(history.observation_times, history.times)
+    elapsed = since_start(history.observation_times, history.times, start)
     known = np.isfinite(history.nis)
     accepted, rejected = known & history.accepted, known & ~history.accepted
     t, nis = elapsed[accepted], history.nis[accepted]
@@ -308,7 +318,8 @@ def plot_nis(
     else:
         ax.set_ylim(0, 1.05 * max(highest, high))
     if len(history.times):
-        ax.set_xlim(0, max(float(elapsed.max()), float(history.times.max() - history.times.min()), 1e-9))
+        run = since_start(history.times, history.times, start)
+        ax.set_xlim(0, max(float(elapsed.max()), float(run.max()), 1e-9))
     if legend:
         add_legend(ax)
     return artists
@@ -330,7 +341,8 @@ def overview(
     ----------
     history : History
     log : Log, optional
-        Its truth is used if `truth` is not given.
+        The log of the run. The time axes begin where its first step begins, and its truth is used if `truth` is not
+        given.
     dead_reckoning : (times (n,), poses (n, 3)), optional
         Poses by the motion model alone, from the pose at which the filter started.
     truth : Truth, optional
@@ -349,6 +361,7 @@ def overview(
     """
     if truth is None and log is not None:
         truth = log.truth
+    start = None if log is None or not len(log.schedule.times) else log.schedule.start_time
     with new_figure(*size) as figure:
         panels = figure.subplot_mosaic(
             [["map", "x"], ["map", "y"], ["map", "heading"], ["nis", "nis"]],
@@ -357,8 +370,8 @@ def overview(
         )
         errors = [panels["x"], panels["y"], panels["heading"]]
         plot_map(panels["map"], history, truth, dead_reckoning, alignment)
-        plot_errors(errors, history, truth, alignment)
-        plot_nis(panels["nis"], history)
+        plot_errors(errors, history, truth, alignment, start=start)
+        plot_nis(panels["nis"], history, start=start)
         for ax in errors[:2]:
             ax.sharex(errors[2])
             ax.tick_params(labelbottom=False)

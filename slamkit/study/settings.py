@@ -59,10 +59,7 @@ class Settings:
     @property
     def start_time(self) -> float:
         """Time at which the first step begins [s]."""
-        if isinstance(self.world, Log):
-            schedule = self.world.schedule
-            return float(schedule.times[0] - schedule.dt[0]) if len(schedule.times) else 0.0
-        return 0.0
+        return self.world.schedule.start_time if isinstance(self.world, Log) else 0.0
 
     @cached_property
     def facts(self) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slamkit import evaluate, se2
 from slamkit.arrays import Array
 from slamkit.errors import DivergenceError, InputError
-from slamkit.evaluate import trajectory
+from slamkit.evaluate import MINIMUM_MATCHES
 from slamkit.logs import History, Log, Truth
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class Trial:
 
     Numbers are NaN if there is no truth or the filter failed. Errors are estimate minus truth in the truth's frame. In
     a simulation the filter shares that frame, so nothing is aligned. The trajectory of a recorded log is aligned first
-    (:func:`slamkit.evaluate.trajectory.align`).
+    (:func:`slamkit.evaluate.evaluate`). It has no errors if the truth does not determine the alignment.
     """
 
     filter: str  #: its name in the study
@@ -136,26 +136,23 @@ def _judge(settings: Settings, log: Log, name: str, k: int, filter: LandmarkFilt
     limit = np.inf
     notes: list[tuple[str, str]] = []
     numbers: dict[str, Any] = dict(_NO_MAP)
-    rows, matched = (
-        (np.zeros(0, dtype=int),) * 2
-        if truth is None
-        else trajectory.nearest(history.times, truth.times, settings.max_gap)
-    )
-    if truth is not None and len(rows):
-        true, frame = truth.poses[matched], np.zeros(3)
-        if not settings.simulated:
-            frame = trajectory.align(poses[rows, :2], true[:, :2])
+    rows, matched = evaluate.nearest(history.times, () if truth is None else truth.times, settings.max_gap)
+    frame = None if truth is None else _frame(settings, history, truth, notes)
+    if truth is not None and frame is not None:
+        numbers |= _judge_map(history, truth, frame, notes)
+        if frame.any():
             poses = se2.compose(frame, poses)
             A = np.eye(3)
             A[:2, :2] = se2.rotation(frame[2])
             covariances = A @ covariances @ A.T
+    if truth is not None and frame is not None and len(rows) >= (1 if settings.simulated else MINIMUM_MATCHES):
+        true = truth.poses[matched]
         errors[rows] = evaluate.state_error(poses[rows], true)
         kinds = (evaluate.pose_nees, evaluate.position_nees, evaluate.heading_nees)
         for column, kind in enumerate(kinds):
             nees[rows, column], dof[rows, column] = each_step(kind, poses[rows], covariances[rows], true, notes)
         places = np.array([*truth.poses[:, :2], *truth.landmarks.values()]).reshape(-1, 2)
         limit = settings.diverged_at * float(np.hypot(*np.ptp(places, axis=0)))
-        numbers |= _judge_map(history, truth, frame, notes)
         if history.landmark_ids and all(i in truth.landmarks for i in history.landmark_ids) and rows[-1] == K - 1:
             numbers |= _split(filter, truth, true[-1], frame, notes)
     variances = np.diagonal(covariances, axis1=1, axis2=2)
@@ -187,6 +184,19 @@ _NO_MAP = {
     "relative_nees": float("nan"),
     "relative_dof": 0,
 }
+
+
+def _frame(settings: Settings, history: History, truth: Truth, notes: list[tuple[str, str]]) -> Array | None:
+    """The motion (3,) that takes the estimate into the frame of the truth; None if the truth does not determine it."""
+    if settings.simulated:
+        return np.zeros(3)
+    landmarks = dict(zip(history.landmark_ids, history.landmarks, strict=True))
+    evaluation = evaluate.evaluate(history.times, history.poses, truth, landmarks, max_gap=settings.max_gap)
+    if evaluation.aligned_by is not None:
+        return evaluation.alignment
+    evidence = f"{evaluation.matched} poses and {evaluation.matched_landmarks} landmarks have a truth"
+    notes.append(("alignment", f"{evidence}, which does not determine the alignment"))
+    return None
 
 
 def _judge_map(history: History, truth: Truth, frame: Array, notes: list[tuple[str, str]]) -> dict[str, Any]:
@@ -256,7 +266,9 @@ def _summed_up(notes: Sequence[tuple[str, str]], of: dict[str, int], steps: int)
     said = []
     for what in dict.fromkeys(what for what, _ in notes):
         reasons = [why for w, why in notes if w == what]
-        if what == "split":
+        if what == "alignment":
+            said.append(f"errors are left out: {reasons[0]}")
+        elif what == "split":
             said.append(f"gauge NEES and relative NEES are left out: {reasons[0]}")
         elif what == "landmark":
             said.append(f"landmark NEES is left out, because of {len(reasons)} of {of[what]} landmarks: {reasons[0]}")

@@ -20,8 +20,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg.blas import dgemm
 
-from slamkit import InputError, Log, Scan, World, belief
-from slamkit.belief import BASE, BLOCK, Belief, Storage, active, dense, rollback, square
+from slamkit import InputError, Log, Scan, World
+from slamkit.belief import BASE, BLOCK, Belief, Storage, active, compressed, dense, rollback, room, square
 from slamkit.belief import packed as packed_store
 from slamkit.belief.compressed import _half
 from slamkit.belief.lent import LentMatrix
@@ -52,7 +52,8 @@ every_storage = pytest.mark.parametrize("storage", STORAGES)
 def _flushes_pay_early(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """A flush every few steps, so that a short run has many."""
     if "slow" not in request.keywords:
-        monkeypatch.setattr(belief, "FLUSH_START", 0.0)
+        monkeypatch.setattr(room, "FLUSH_START", 0.0)
+        monkeypatch.setattr(compressed, "FLUSH_START", 0.0)
 
 
 @cache
@@ -756,7 +757,7 @@ def mixed(steps: int = 240) -> list[tuple[Any, float, dict[Any, Any]]]:
 @every_compressing
 def test_nothing_rests_where_that_is_cheaper(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """The filter finds out, tries again after a while, and is the same Gaussian all the time."""
-    monkeypatch.setattr(belief, "STAY", 20.0)
+    monkeypatch.setattr(compressed, "STAY", 20.0)
     f, g = make(name, Storage()), make(name, UNCOMPRESSED)
     rested = []
     for k, step in enumerate(mixed()):
@@ -951,7 +952,7 @@ def stubborn(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
     """Ctrl-C in every correction of what rests, where most of a flush's time goes; how many there were."""
     assert threading.current_thread() is threading.main_thread()
     pressed: Counter[str] = Counter()
-    multiply = belief.dgemm
+    multiply = compressed.dgemm
 
     def dgemm(*arguments: Any, **options: Any) -> Any:
         out = multiply(*arguments, **options)
@@ -959,7 +960,7 @@ def stubborn(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
         os.kill(os.getpid(), signal.SIGINT)
         return out
 
-    monkeypatch.setattr(belief, "dgemm", dgemm)
+    monkeypatch.setattr(compressed, "dgemm", dgemm)
     ours = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield pressed
     signal.signal(signal.SIGINT, ours)
@@ -969,7 +970,7 @@ def stubborn(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
 def test_ctrl_c_waits_for_a_flush(storage: str, stubborn: Counter[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """It is heard after the flush, or its share of this step, and no correction is lost or made twice."""
     with monkeypatch.context() as undisturbed:
-        undisturbed.setattr(belief, "dgemm", dgemm)
+        undisturbed.setattr(compressed, "dgemm", dgemm)
         f = grown("ekf", storage)
         twin = copy.deepcopy(f)
         for step in rows_of(survey()[1], 200, 230):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 from commands import COMPARED, fails, slamkit, strict_json, succeeds
 
 from slamkit import InputError, study
+from slamkit.cli.printing import comparison_table
 from slamkit.models import EulerUnicycle, RangeBearing, Unicycle
 from slamkit.simulate import WORLDS
 
@@ -35,8 +38,12 @@ def test_compare_writes_numbers_report_and_figures(tmp_path: Path) -> None:
     assert all(set(row) >= COMPARED for row in got.values())
     assert got["ekf"]["nullity"] == 2
     assert got["fej"]["nullity"] == got["ideal"]["nullity"] == 3
-    assert {"report.md", "overview.png", "nees.png", "gauge.png"} <= {p.name for p in out.iterdir()}
+    written = {"report.md", "overview.png", "nees.png", "gauge.png", "trials.csv", "summary.tex"}
+    assert written <= {p.name for p in out.iterdir()}
     assert "fej" in (out / "report.md").read_text()
+    trials = list(csv.DictReader((out / "trials.csv").open(encoding="utf-8")))
+    assert [(row["filter"], row["trial"]) for row in trials] == [(f, k) for f in got for k in "01"]
+    assert r"\begin{tabular}" in (out / "summary.tex").read_text() and "fej" in (out / "summary.tex").read_text()
     succeeds(*arguments, "--json", again)
     for name, row in json.loads(again.read_text()).items():
         timed = {"seconds_per_step", "seconds_per_step_se"}
@@ -54,6 +61,14 @@ def test_compare_judges_a_log_without_a_truth_by_what_needs_none(tmp_path: Path)
     assert "site: a recorded log" in text and "nan" not in text
     assert "claim to have learnt the gauge, which no measurement observes: ekf" in text
     assert "Failed or diverged: ideal 1 of 1 (InputError: the ideal filter needs the truth" in text
+
+
+@pytest.mark.parametrize(("anchored", "heading"), [(3, "nullity\n(3)"), (2, "nullity\n(2)"), (None, "nullity")])
+def test_the_expected_nullity_is_that_of_the_models(anchored: int | None, heading: str) -> None:
+    compared = study.compare(["ekf"], WORLDS["lesson"](), 1, jobs=1, gauge_steps=3)
+    checks = {name: replace(check, unobservable=anchored) for name, check in compared.gauge.items()}
+    headings = [column.header for column in comparison_table(replace(compared, gauge=checks), "").columns]
+    assert [h for h in headings if str(h).startswith("nullity")] == [heading]
 
 
 def test_an_interrupted_compare_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

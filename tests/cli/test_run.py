@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +97,8 @@ def test_the_table_shows_the_numbers_of_the_json(loop: Path, tmp_path: Path) -> 
         assert f" {got[name]:.3f} " in text, name
     for name in ("steps", "observations", "landmarks"):
         assert f" {got[name]} " in text, name
+    (row,) = (line for line in text.splitlines() if "poses with a truth" in line)
+    assert row.count(f" {got['matched']} ") == 2  # the filter's and dead reckoning's
     assert "--motion unicycle --motion-noise 0.008839,0.03536 --sensor relative --sensor-noise 0.1" in text
 
 
@@ -269,12 +272,21 @@ def test_json_on_standard_output_is_all_that_is_there(lesson: Path, tmp_path: Pa
 # ---- models.json as it is documented ----
 
 
+def rows_of(text: str, model: str) -> list[str]:
+    """The rows of a table that belong to a model: that with its name, and those below without a name."""
+    lines = text[text.index(f"| `{model}` |") :].splitlines()
+    return [lines[0], *takewhile(lambda line: line.startswith("| |"), lines[1:])]
+
+
 def test_the_documents_example_of_models_json_runs_and_its_tables_are_complete(lesson: Path, tmp_path: Path) -> None:
     text = (Path(__file__).resolve().parents[2] / "docs" / "models-json.md").read_text(encoding="utf-8")
     for kind in (*MOTIONS.values(), *SENSORS.values()):
         assert f"`{kind.__name__}`" in text
+        block = rows_of(text, kind.__name__)
+        if "as `" in block[0]:
+            block = rows_of(text, block[0].split("as `")[1].split("`")[0])
         for name, (unit, typical) in parameters_of(kind).items():
-            row = next(line for line in text.splitlines() if f"| `{name}` |" in line)
+            (row,) = (line for line in block if f"| `{name}` |" in line)
             assert f"| {unit} | {typical:g} |" in row
     example = text[text.index("    {\n") : text.index("    }\n") + 6]
     (tmp_path / "mine.json").write_text(example)

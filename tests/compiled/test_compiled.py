@@ -1,15 +1,18 @@
 """How functions become machine code: where it is made, how often, and that a study asks for all that it will need."""
 
+import copy
+import pickle
 import subprocess
 import sys
 from typing import Any
 
 import numpy as np
 import pytest
-from numba.core.codegen import JITCodeLibrary
 
 from slamkit import InputError
-from slamkit.compiled import Compiled, compiled, needed
+from slamkit.belief import Belief
+from slamkit.compiled import Compiled, OwnFields, Shared, Table, compiled, needed
+from slamkit.cycle.update import update
 from slamkit.filters import FILTERS
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.simulate import WORLDS
@@ -52,18 +55,60 @@ def test_functions_of_a_user_may_make_arrays() -> None:
     assert more_than_last(np.arange(4.0)) == 4.0
 
 
-def test_a_fragment_becomes_machine_code_only_where_it_is_called() -> None:
-    """This rests on parts of Numba that it does not document: where they change, it fails here."""
+def test_what_is_called_is_compiled_once_and_for_python_too() -> None:
     assert scaled_total(np.arange(4.0), 2.0) == 12.0
-    assert "dispatcher" not in vars(total)
-    if not total.jitted.overloads:  # where `scaled_total` was read from disk
-        total._compile(total.jitted)
-    [result] = total.jitted.overloads.values()
-    assert isinstance(result.library, JITCodeLibrary)
-    assert result.library.get_pointer_to_function(result.fndesc.llvm_func_name) == 0
-    assert total(np.arange(4.0)) == 6.0  # for Python it is a function of its own
-    [result] = total.dispatcher.overloads.values()
-    assert result.library.get_pointer_to_function(result.fndesc.llvm_func_name) != 0
+    assert total(np.arange(4.0)) == 6.0
+    assert total.jitted is total.jitted
+    [signature] = total.jitted.signatures
+    assert len(signature) == 1
+
+
+def test_only_functions_that_are_called_by_name_are_used() -> None:
+    """An attribute of the same name, such as ``policy.update`` in the function `update`, is none."""
+    assert list(scaled_total.uses) == ["total"]
+    assert list(update.uses) == ["update_one", "update_stacked"]
+
+
+def test_a_table_holds_numbers_arrays_functions_and_tables() -> None:
+    inner = Table("inner-of-a-test", count="index", row="vector")
+    outer = Table("outer-of-a-test", ready="flag", size="real", inside=inner, call="real(vector)")
+    values = {"ready": True, "size": 2.5, "inside": {"count": 3, "row": np.arange(3.0)}, "call": total}
+    table = Shared(outer, **values)
+    for shared in (table, pickle.loads(pickle.dumps(table)), copy.deepcopy(table)):
+        assert (shared.ready, shared.size, shared.inside.count) == (True, 2.5, 3)
+        assert shared.inside.row.tolist() == [0.0, 1.0, 2.0]
+        shared.inside.count += 4
+        assert shared.inside.count == 7 and shared.values["inside"]["count"] == 7
+        assert shared.address % 64 == 0
+    assert copy.deepcopy(table).inside.row is not table.inside.row
+    with pytest.raises(AttributeError):
+        _ = table.no_such_field
+
+
+@compiled("void(state)")
+def write_numbers(state: Any) -> None:
+    state.resting.debt = 2.5
+    state.belief.active = state.belief.active + 2
+    state.scratch.careful = True
+    mine = numbers(state)
+    mine.alpha = mine.alpha + state.resting.debt
+    mine.start[1] = 4.0
+    mine.places[1, 0] = 7.0
+
+
+numbers = OwnFields({"places": 2}, alpha=1, start=3)
+
+
+@pytest.mark.parametrize("compiles", [True, False])
+def test_compiled_code_and_python_share_named_numbers(compiles: bool) -> None:
+    """Numbers of a table and an estimator's own fields are the same memory on both sides."""
+    state = Belief(np.zeros(3), np.eye(3), own_fields=numbers).state
+    numbers(state).alpha = 1.0
+    (write_numbers if compiles else write_numbers.plain)(state)
+    mine = numbers(state)
+    assert (state.resting.debt, state.belief.active, state.scratch.careful) == (2.5, 5, True)
+    assert mine.alpha == 3.5 and mine.start.tolist() == [0.0, 4.0, 0.0]
+    assert mine.places.shape == (8, 2) and mine.places[1].tolist() == [7.0, 0.0]
 
 
 def test_what_a_python_form_calls_is_needed() -> None:
@@ -74,7 +119,7 @@ def test_what_a_python_form_calls_is_needed() -> None:
 USED = """
 import sys
 import numpy as np
-import slamkit.filters.ideal, slamkit.filters.observability_ukf, slamkit.filters.robocentric
+import slamkit.filters.ideal, slamkit.filters.observability_constrained_ukf, slamkit.filters.robocentric
 from slamkit.evaluate import gauge
 from slamkit.compiled import Compiled
 from slamkit.filters import FILTERS
@@ -90,7 +135,7 @@ gauge.nullity(make(), log)
 known = set(f._compiles())
 modules = [m for n, m in sys.modules.items() if n.startswith("slamkit")]
 functions = {v for m in modules for v in vars(m).values() if isinstance(v, Compiled)}
-code = {(v, name) for v in functions for name in ("entry", "dispatcher") if name in vars(v)}
+code = {(v, name) for v in functions for name in ("jitted", "in_table") if name in vars(v)}
 print(*sorted(f"{v.__name__}.{name}" for v, name in code - known))
 """
 
@@ -113,7 +158,7 @@ def test_models_in_python_leave_nothing_to_compile_ahead() -> None:
 
     assert FILTERS["ekf"](Unicycle(0.1, 0.1), Mine())._compiles() == []
     known = FILTERS["ekf"](Unicycle(0.1, 0.1), RangeBearing(0.1, 0.02))._compiles()
-    assert all(isinstance(f, Compiled) and name in ("entry", "dispatcher") for f, name in known)
+    assert all(isinstance(f, Compiled) and name in ("jitted", "in_table") for f, name in known)
 
 
 def test_prepare_knows_its_filters() -> None:

@@ -26,6 +26,7 @@ def test_steps_are_in_order_and_predict_only_where_a_control_acts(log: Log) -> N
     s = log.schedule
     assert len(s.times) == len(s.dt) == len(s.control) == len(s.first) - 1 == len(log)
     assert np.all(np.diff(s.times) >= 0)
+    assert s.start_time == (s.times[0] - s.dt[0] if len(log) else 0.0)
     assert np.all(s.dt >= 0)
     assert np.array_equal(s.dt > 0, s.control >= 0)
     assert np.all(s.control < len(log.controls))

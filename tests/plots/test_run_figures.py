@@ -221,6 +221,25 @@ def test_overview_takes_the_truth_of_the_log() -> None:
     assert "truth" not in [t.get_text() for t in plots.overview(history).axes[0].get_legend().get_texts()]
 
 
+@pytest.mark.parametrize("first", [0.0, 1.2e9])
+def test_the_time_axes_of_a_run_begin_where_its_first_step_begins(first: float) -> None:
+    """A run of 120 steps of 0.5 s lasts 60 s, and its first estimate is 0.5 s after the start."""
+    history, truth = run(start=first)
+    controls = first + 0.5 * np.arange(len(history.times))
+    none = np.zeros(0)
+    log = Log(controls, np.zeros((len(controls), 2)), none, none.astype(int), np.zeros((0, 2)), (), first + 60.0)
+    np.testing.assert_array_equal(log.schedule.times, history.times)
+    figure = plots.overview(history, log, truth=truth)
+    panels = {ax.get_ylabel(): ax for ax in figure.axes}
+    for label in ("x error [m]", "y error [m]", "heading\nerror [deg]", "NIS"):
+        assert panels[label].get_xlim() == (0.0, 60.0)
+    (error,) = (line for line in panels["x error [m]"].lines if line.get_label().startswith("error"))
+    np.testing.assert_allclose(error.get_xdata(), 0.5 * np.arange(1, 121))
+    drawn = plots.plot_nis(axes(), history, start=first)
+    known = np.isfinite(history.nis) & history.accepted
+    np.testing.assert_allclose(drawn["nis"][0].get_xdata(), (history.observation_times - first)[known])
+
+
 def test_error_panels_share_only_their_time_axis() -> None:
     history, truth = run()
     panels = {ax.get_ylabel(): ax for ax in plots.overview(history, truth=truth).axes}

@@ -11,9 +11,9 @@ from family import PlainMotion, PlainSensor
 from small_study import small, world
 
 from slamkit import simulate
+from slamkit.evaluate.gauge import unobservable_directions
 from slamkit.models import RangeBearing, RelativePosition, Unicycle
 from slamkit.study import Study
-from slamkit.study.gauge_check import unobservable_directions
 
 
 def test_the_standard_filter_alone_learns_its_gauge(study: Study) -> None:

@@ -124,6 +124,28 @@ def test_recorded_log_is_aligned(pose: tuple[float, float, float]) -> None:
     assert a.summary()["ekf"]["position_rmse_m"] <= np.sqrt(np.mean(np.sum(unaligned**2, 1)))
 
 
+@pytest.mark.parametrize("poses", [0, 1, 2, 3])
+@pytest.mark.parametrize("landmarks", [0, 2, 5])
+def test_a_recorded_log_has_only_errors_that_its_alignment_cannot_hide(poses: int, landmarks: int) -> None:
+    """Two points fit any truth by a rigid motion: errors that are left say nothing about the filter."""
+
+    def some(t: Truth) -> Truth:
+        rows = np.linspace(1, len(t.times) - 1, poses).astype(int)
+        return Truth(t.times[rows], t.poses[rows], dict(list(t.landmarks.items())[:landmarks]))
+
+    arguments: dict[str, Any] = {"motion": world().motion, "sensor": world().sensor, "jobs": 1, "gauge_steps": 0}
+    study = compare(["ekf"], recorded(truth=some), pose=world().pose, **arguments)
+    s, (trial,) = study.summary()["ekf"], study.trials["ekf"]
+    of_poses = {s[k] is not None for k in ("position_rmse_m", "heading_rmse_deg", "pose_nees")}
+    assert of_poses == {poses >= 3}
+    aligned = poses >= 3 or landmarks >= 3
+    assert (s["landmark_rmse_m"] is not None) == (aligned and landmarks > 0)
+    assert trial.error is None and not trial.diverged
+    assert ("errors are left out" in (trial.note or "")) == (not aligned)
+    if not aligned:
+        assert f"{poses} poses and {landmarks} landmarks have a truth" in (trial.note or "")
+
+
 @given(k=st.integers(0, 9), n=st.integers(1, 10))
 def test_nees_is_left_out_only_where_the_error_contradicts_the_claim(k: int, n: int) -> None:
     k = k % n

@@ -5,7 +5,14 @@ A consistent filter keeps its uncertainty about the gauge; these functions measu
 
 from slamkit.evaluate.gauge.convergence import lower_bound_gap, relative_map_covariance
 from slamkit.evaluate.gauge.deviation import gauge_deviation, gauge_deviations, gauge_drop
-from slamkit.evaluate.gauge.directions import GAUGE_DIM, anchoring, describe, null_directions, unobservable
+from slamkit.evaluate.gauge.directions import (
+    GAUGE_DIM,
+    anchoring,
+    describe,
+    null_directions,
+    unobservable,
+    unobservable_directions,
+)
 from slamkit.evaluate.gauge.equivariance import equivariance, stochastic_gauge
 from slamkit.evaluate.gauge.nees_split import NeesSplit, nees_split
 from slamkit.evaluate.gauge.nullity import Nullity, nullity, observability_world
@@ -28,4 +35,5 @@ __all__ = [
     "relative_map_covariance",
     "stochastic_gauge",
     "unobservable",
+    "unobservable_directions",
 ]

@@ -5,15 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slamkit import se2
 from slamkit.arrays import Array, finite_array
 from slamkit.errors import InputError
 from slamkit.evaluate.gauge.recording import linearisation_points
 from slamkit.evaluate.gauge.rigid_body import turned
 from slamkit.filters.landmark_filter import LandmarkFilter
+from slamkit.logs import Log
+from slamkit.protocols import MotionModel, SensorModel
 
 GAUGE_DIM = 3  #: rigid motions of the plane: translation along x and y, rotation about the origin
 
 _ROUNDING = 1e-9  # what a sighting says about a rigid motion is zero below this share of the terms that cancel
+_TOLERANCE = 5e-6  # a singular value below this counts as zero over a path, as in slamkit.evaluate.gauge.nullity
 
 
 def null_directions(filter: LandmarkFilter, motions: ArrayLike | None = None) -> Array:
@@ -86,13 +90,13 @@ def anchoring(
         A shape does not fit, or a value is not finite.
     """
     H, p = finite_array("H_pose", H_pose, (-1, 3)), finite_array("pose", pose, (3,))
-    N = np.array([[1.0, 0.0, -p[1]], [0.0, 1.0, p[0]], [0.0, 0.0, 1.0]])
+    N = _pose_directions(p)
     A, size = H @ N, np.abs(H) @ np.abs(N)
     if H_landmark is not None:
         if landmark is None:
             raise InputError("landmark is missing, expected its position beside H_landmark")
         H, p = finite_array("H_landmark", H_landmark, (len(A), 2)), finite_array("landmark", landmark, (2,))
-        N = np.array([[1.0, 0.0, -p[1]], [0.0, 1.0, p[0]]])
+        N = _pose_directions(p)[:2]
         A, size = A + H @ N, size + np.abs(H) @ np.abs(N)
     return np.where(np.abs(A) > _ROUNDING * size, A, 0.0)
 
@@ -135,6 +139,60 @@ def unobservable(filter: LandmarkFilter, *anchorings: ArrayLike) -> Array:
     return basis
 
 
+def unobservable_directions(motion: MotionModel, sensor: SensorModel, log: Log, pose: ArrayLike) -> int:
+    """Count the directions of the gauge that the models leave unobservable along the path of a log.
+
+    :func:`unobservable` judges the sensor of a filter from its present pose. This function judges both models, and
+    needs no filter: a motion model can also depend on where the robot is in the world.
+
+    Parameters
+    ----------
+    motion : MotionModel
+    sensor : SensorModel
+    log : Log
+        Its controls and observations are the situations in which the models are examined.
+    pose : array_like (3,)
+        Start [m, m, rad].
+
+    Returns
+    -------
+    int
+        3 if moving robot and map together as one rigid body changes no measurement. Less if something anchors the
+        map: 2 with a sensor that measures bearings from north, 0 with one that measures positions in the world.
+
+    Raises
+    ------
+    InputError
+        `pose` has another shape, or a value is not finite.
+
+    Notes
+    -----
+    With N of :func:`null_directions`, a direction v (3,) is unobservable if H N v = 0 for every sighting and
+    F N_k v = N_{k+1} v for every prediction, with H and F at one path and map that fit each other. The path here is
+    dead reckoning, each sighting is of a landmark at ``sensor.invert(pose, z)``, and the directions are about the
+    path's start. The rows are whitened by R and scaled to the size of H, so that the rank has no units.
+    """
+    x = finite_array("pose", pose, (3,))
+    origin = np.array([*x[:2], 0.0])
+    rows, whiten = [np.zeros((1, GAUGE_DIM))], np.linalg.inv(np.linalg.cholesky(sensor.R))
+    for step in log:
+        if step.u is not None:
+            moved = np.array(motion.move(x, step.u, step.dt), dtype=float)
+            moved[2] = se2.wrap(moved[2])
+            F, _ = motion.jacobians(x, step.u, step.dt)
+            rows.append(anchoring(F, x - origin) - _pose_directions(moved - origin))
+            x = moved
+        for z in np.asarray(step.scan.z):
+            landmark = np.array(sensor.invert(x, z), dtype=np.float64)
+            H_pose, H_landmark = (whiten @ H for H in sensor.jacobians(x, landmark))
+            if not (np.isfinite(H_pose).all() and np.isfinite(H_landmark).all()):
+                continue  # a sighting that the model cannot use
+            size = max(float(np.abs(H_pose).max()), float(np.abs(H_landmark).max()))
+            rows.append(anchoring(H_pose, x - origin, H_landmark, landmark - origin[:2]) / (size or 1.0))
+    values = np.linalg.svd(np.concatenate(rows), compute_uv=False)
+    return int(GAUGE_DIM - np.sum(values > _TOLERANCE))
+
+
 def describe(motions: ArrayLike) -> str:
     """Name the rigid motions of robot and map in words, for a sentence such as "Nothing observes the …".
 
@@ -161,3 +219,8 @@ def describe(motions: ArrayLike) -> str:
     if count == 2:
         return "heading and the position along one line" if turns else "position"
     return "position and heading"
+
+
+def _pose_directions(pose: Array) -> Array:
+    """N (3, 3) of a pose (3,): translation along x and y, rotation about the origin. A point has the first two rows."""
+    return np.array([[1.0, 0.0, -pose[1]], [0.0, 1.0, pose[0]], [0.0, 0.0, 1.0]])
