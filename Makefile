@@ -34,7 +34,7 @@ test-numba: $(ready)
 	@set -e; test_with() { \
 		environment=".venv-numba-$$1-$$(basename "$$2")"; \
 		"$$environment/bin/python" -c '' 2>/dev/null || $(bin)/uv venv --quiet --clear --python "$$2" "$$environment"; \
-		$(bin)/uv pip install --quiet --upgrade --python "$$environment" --resolution "$$1" --editable '.[test]'; \
+		$(bin)/uv pip install --quiet --upgrade --python "$$environment/bin/python" --resolution "$$1" --editable '.[test]'; \
 		"$$environment/bin/python" -c 'import platform, numba, numpy; print("Python", platform.python_version(), "Numba", numba.__version__, "NumPy", numpy.__version__)'; \
 		"$$environment/bin/python" -m pytest -n auto --dist worksteal $(numba_tests); \
 	}; \
