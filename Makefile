@@ -1,17 +1,22 @@
 # make demo        the main job on the built-in world: tables, figures and logs in demo/
 # make test        lint, types and the test suite
 # make test-long   the same with the tests that take minutes
+# make test-numba  the tests of what Numba compiles, with the lowest and the highest supported versions
 # make bench       every script of benchmarks/: tables and figures in benchmarks/results/
 # make lint        lint and types alone
 # make clean       removes the environment and everything that was built
 #
 # Each sets up the environment .venv first where that is needed. PYTHON=/path/to/python3.12 chooses the interpreter.
 
-.PHONY: demo test test-long bench lint clean
+.PHONY: demo test test-long test-numba bench lint clean
 
 bin := .venv/bin
 ready := .venv/ready
 benchmarks := $(filter-out benchmarks/_%,$(wildcard benchmarks/*.py))
+numba_tests := $(wildcard tests/compiled tests/belief tests/filters tests/models tests/fuzz)
+
+# The Pythons of test-numba: versions, names or paths. uv looks for a version on PATH, and downloads it where it is not.
+PYTHONS := 3.11 3.14
 
 demo: $(ready)
 	$(bin)/slamkit demo --out demo
@@ -21,6 +26,20 @@ test: lint
 
 test-long: lint
 	$(bin)/python -m pytest -n auto --dist worksteal -m "slow or not slow"
+
+# The first Python gets the lowest versions of all direct dependencies, and the last one the highest. Each environment
+# stays in a folder .venv-numba-*, and is brought up to date by the next run.
+test-numba: $(ready)
+	@$(bin)/python -m pip install --quiet --disable-pip-version-check --editable '.[release]'
+	@set -e; test_with() { \
+		environment=".venv-numba-$$1-$$(basename "$$2")"; \
+		"$$environment/bin/python" -c '' 2>/dev/null || $(bin)/uv venv --quiet --clear --python "$$2" "$$environment"; \
+		$(bin)/uv pip install --quiet --upgrade --python "$$environment/bin/python" --resolution "$$1" --editable '.[test]'; \
+		"$$environment/bin/python" -c 'import platform, numba, numpy; print("Python", platform.python_version(), "Numba", numba.__version__, "NumPy", numpy.__version__)'; \
+		"$$environment/bin/python" -m pytest -n auto --dist worksteal $(numba_tests); \
+	}; \
+	test_with lowest-direct "$(firstword $(PYTHONS))"; \
+	test_with highest "$(lastword $(PYTHONS))"
 
 # GTSAM is not there for every Python; MRPT is no Python package (on Debian: apt install libmrpt-slam-dev).
 bench: $(ready)
@@ -36,7 +55,7 @@ lint: $(ready)
 	MYPYPATH=typings $(bin)/stubtest filterpy.kalman --ignore-missing-stub --concise
 
 clean:
-	rm -rf .venv build dist demo slamkit.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv .venv-numba-* build dist demo slamkit.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find slamkit models tests tutorials benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # A candidate must be new enough and able to make an environment with pip: a system's python3 may lack ensurepip.

@@ -23,6 +23,7 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parent.parent
+WHEEL_TESTS = ("test_se2.py", "test_registry.py", "models/test_odometry.py")
 
 
 def run(*command: str | Path, cwd: Path, **environment: str) -> str:
@@ -119,6 +120,27 @@ def test_installed_command_answers(installed: Path) -> None:
     said = run(executable(installed, "slamkit"), "--help", cwd=installed, NO_COLOR="1", COLUMNS="100")
     assert "Usage: slamkit" in said
     assert {"demo", "run", "simulate"} <= set(re.findall(r"\w+", said))
+
+
+def test_installed_command_runs_a_filter_and_draws(installed: Path, tmp_path: Path) -> None:
+    command = executable(installed, "slamkit")
+    run(command, "simulate", "standing", "--out", "log", "--quiet", cwd=tmp_path)
+    said = run(command, "run", "csv", "log", "--out", "out", "--json", "-", "--quiet", cwd=tmp_path, MPLBACKEND="Agg")
+    assert json.loads(said)["steps"] == 300
+    assert list((tmp_path / "out").glob("*.png"))
+
+
+def test_a_part_of_the_suite_passes_on_the_wheel(installed: Path, tmp_path: Path) -> None:
+    """The wheel does not find the checkout. (The test above runs compiled code.)"""
+    for name in ("conftest.py", "models/model_examples.py", *WHEEL_TESTS):
+        (tmp_path / "tests" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / "tests" / name, tmp_path / "tests" / name)
+    shutil.copy2(ROOT / "pyproject.toml", tmp_path)
+    at_work = "import slamkit, sys, pytest; print(slamkit.__file__); sys.exit(pytest.main(sys.argv[1:]))"
+    tests = [f"tests/{name}" for name in WHEEL_TESTS]
+    said = run(executable(installed, "python"), "-c", at_work, "-q", "-p", "no:cacheprovider", *tests, cwd=tmp_path)
+    assert Path(said.splitlines()[0]).is_relative_to(installed)
+    assert re.search(r"\d\d passed", said)
 
 
 def test_importing_slamkit_is_cheap() -> None:

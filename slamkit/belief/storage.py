@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -73,7 +74,10 @@ def _machine_memory() -> float:
 
 @cache
 def half_of_cache() -> float:
-    """Half of the machine's largest cache [bytes]; a usual one where the system (other than Linux) does not say."""
-    sizes = [path.read_text().strip() for path in Path("/sys/devices/system/cpu/cpu0/cache").glob("index*/size")]
+    """Half of the machine's largest cache [bytes]; a usual size where the system does not say, as outside Linux."""
+    sizes = []
+    with suppress(OSError):
+        for path in Path("/sys/devices/system/cpu/cpu0/cache").glob("index*/size"):
+            sizes.append(path.read_text(encoding="ascii").strip())
     found = [int(size[:-1]) for size in sizes if size[:-1].isdecimal() and size[-1] == "K"]
     return 512.0 * max(found, default=16384)

@@ -70,7 +70,7 @@ def compile_cached(function: Any, make_source: Callable[[], Any], *, in_table: b
     try:
         dispatcher = _compile(make_source(), signature, scratch, in_table)
         if any(scratch.iterdir()):
-            (scratch / CHECKSUM).write_text(_checksum(scratch))
+            (scratch / CHECKSUM).write_text(_checksum(scratch), encoding="ascii")
             # Another process may have been faster: its folder is as good.
             os.rename(scratch, place)
     except OSError:
@@ -191,7 +191,7 @@ def _checksum(folder: Path) -> str:
 
 def _is_whole(folder: Path) -> bool:
     try:
-        return (folder / CHECKSUM).read_text() == _checksum(folder)
+        return (folder / CHECKSUM).read_text(encoding="ascii") == _checksum(folder)
     except (OSError, UnicodeDecodeError):
         return False
 
