@@ -72,7 +72,7 @@ def python_handles_interrupts() -> Iterator[None]:
 def test_an_interrupted_run_ends_between_two_steps(name: str, storage: Any, form: str) -> None:
     """Ctrl-C anywhere in a run: the history and the belief are at the same step, and the filter goes on from there."""
     motion, sensor = made_of(form, *(getattr(make(name), n) for n in ("motion", "sensor")))
-    log = drive(motion, sensor, steps=5)
+    log = drive(make(name).motion, make(name).sensor, steps=5)
     steps = [step for step in log if step.dt]
     assert len(steps) == len(log)
 
