@@ -34,7 +34,8 @@ class Compiled:
 
     def __init__(self, function: FunctionType, signature: str, *, generic: bool = False) -> None:
         self.function, self.signature, self.generic = function, signature, generic
-        self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
+        self.__doc__, self.__name__ = function.__doc__, function.__name__
+        self.__module__ = function.__module__ or "__main__"  # code that `exec` runs may be of no module
 
     @cached_property
     def uses(self) -> dict[str, Compiled | OwnFields]:
