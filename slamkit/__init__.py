@@ -12,7 +12,16 @@ except ModuleNotFoundError as error:
         "'git config core.symlinks true'"
     ) from None
 from slamkit.belief import Storage
-from slamkit.errors import InputError, LogFileError, ModelError, SlamkitError
+from slamkit.errors import (
+    AssignmentError,
+    DivergenceError,
+    InputError,
+    LogFileError,
+    MemoryCapError,
+    ModelError,
+    SlamkitError,
+    UnsupportedError,
+)
 from slamkit.filters import (
     EKFSLAM,
     UKFSLAM,
@@ -31,6 +40,8 @@ from slamkit.simulate import World, simulate
 __all__ = [
     "EKFSLAM",
     "UKFSLAM",
+    "AssignmentError",
+    "DivergenceError",
     "FirstEstimatesEKFSLAM",
     "FullUKFSLAM",
     "History",
@@ -40,6 +51,7 @@ __all__ = [
     "IteratedEKFSLAM",
     "Log",
     "LogFileError",
+    "MemoryCapError",
     "ModelError",
     "ObservabilityConstrainedEKFSLAM",
     "ObservabilityConstrainedUKFSLAM",
@@ -48,6 +60,7 @@ __all__ = [
     "SlamkitError",
     "Storage",
     "Truth",
+    "UnsupportedError",
     "World",
     "check_model",
     "numeric_jacobian",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import filterpy.kalman
 import numpy as np
 
 from slamkit import Log, Truth, models
@@ -136,8 +135,5 @@ def drive(motion: Any, sensor: Any, steps: int = 40, landmarks: int = 6, seen: i
 
 
 def extra_sensor(f: Any, z: Any, h: Any, jacobian: Any, *, R: Any, residual: Any = np.subtract) -> None:
-    """filterpy's update, in the signature of the class that the filter derives from."""
-    if isinstance(f, filterpy.kalman.UnscentedKalmanFilter):
-        f.update(z, R, hx=h, residual=residual)
-    else:
-        f.update(z, jacobian, h, R=R, residual=residual)
+    """filterpy's update, in the one form that every filter takes."""
+    f.update(z, jacobian, h, R=R, residual=residual)

@@ -58,9 +58,10 @@ def from_arrays(belief: Belief, ids: Iterable[Hashable], arrays: Mapping[str, ND
         The arrays do not fit each other, the ids or the belief, or hold what no belief can.
     """
     number = {name: a.item() for name, a in arrays.items() if a.shape == ()}
-    slots = {i: belief.base + BLOCK * n for n, i in enumerate(ids)}
+    named = tuple(ids)
+    slots = {i: belief.base + BLOCK * n for n, i in enumerate(named)}
     D, dim, C = number["belief.active"], number["belief.dim"], number["resting.columns"]
-    if belief.base + BLOCK * len(slots) != dim:
+    if len(slots) != len(named) or belief.base + BLOCK * len(slots) != dim:
         raise InputError(f"the file holds {len(slots)} different landmark ids and a state of {dim} dimensions")
     resting = len(arrays["resting.mean"])
     if C == 0:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from numbers import Integral, Real
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -34,7 +36,7 @@ class Storage:
     Raises
     ------
     InputError
-        A number is not positive.
+        A number is not positive, or not a number.
     """
 
     compress_above: int | None = None
@@ -42,10 +44,11 @@ class Storage:
     memory_cap: float | None = None
 
     def __post_init__(self) -> None:
-        for name, value in (("flush_work", self.flush_work), ("memory_cap", self.memory_cap)):
-            if value is not None and not value > 0:
+        numbers: dict[str, Any] = {"flush_work": self.flush_work, "memory_cap": self.memory_cap}
+        for name, value in numbers.items():
+            if value is not None and not (_is(Real, value) and value > 0):
                 raise InputError(f"{name} is {value!r}, expected None or a number > 0")
-        if self.compress_above is not None and not self.compress_above >= 0:
+        if self.compress_above is not None and not (_is(Integral, self.compress_above) and self.compress_above >= 0):
             raise InputError(f"compress_above is {self.compress_above!r}, expected None or a number of landmarks ≥ 0")
 
     @property
@@ -64,6 +67,11 @@ class Storage:
             raise MemoryCapError(
                 f"{what} takes {size / 1e9:.3g} GB, the cap is {self.cap / 1e9:.3g} GB: Storage(memory_cap=…) sets it"
             )
+
+
+def _is(kind: type, value: object) -> bool:
+    """Whether this is a number of a kind; a bool is not one here."""
+    return isinstance(value, kind) and not isinstance(value, bool)
 
 
 @cache

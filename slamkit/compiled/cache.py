@@ -93,7 +93,7 @@ def _load(source: Any, signature: Any, place: Path, in_table: bool) -> Any:
             return None
         except Exception:  # whatever Numba's reader stumbles over
             pass
-    _warn(f"the machine code in {place} was damaged: it is made anew")
+    _warn(f"machine code in {place.parent} was damaged: it is made anew")
     return None
 
 
@@ -145,7 +145,21 @@ def _folder_of(function: Any, in_table: bool) -> Path | None:
             return None
     parent = _private(root / f"compiled-{key}")
     unit = f"{module}.{name}{'-in-table' if in_table else ''}".replace("<", "").replace(">", "")
-    return None if parent is None else parent / unit
+    return None if parent is None else parent / f"{unit}-{_source_stamp(function.function)}"
+
+
+def _source_stamp(source: Any) -> str:
+    """By which Numba tells the file of a source from others, and from what it was: path, time and size.
+
+    As a part of the name it keeps apart checkouts of the same version, which would take turns to overwrite each other's
+    machine code.
+    """
+    path = source.__code__.co_filename
+    try:
+        found = os.stat(path)
+    except OSError:  # a notebook's cell, or a source without a file
+        return "no-file"
+    return hashlib.sha256(f"{path} {found.st_mtime_ns} {found.st_size}".encode()).hexdigest()[:8]
 
 
 @cache
@@ -212,6 +226,7 @@ def _slamkit_digest() -> str:
     # `rglob` does not follow the link that models is in a checkout.
     for path in sorted([*package.rglob("*.py"), *(package / "models").glob("*.py")]):
         source = path.read_bytes()
-        if b"@compiled(" in source or path.parent.name == "compiled":
+        # Tables, and constants that compiled functions take from elsewhere, are declared in these.
+        if b"@compiled(" in source or b"Table(" in source or path.parent.name in ("compiled", "cycle"):
             digest.update(path.relative_to(package).as_posix().encode() + source)
     return digest.hexdigest()[:16]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dis
 import importlib
+import sys
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from types import FunctionType
@@ -33,7 +34,8 @@ class Compiled:
 
     def __init__(self, function: FunctionType, signature: str, *, generic: bool = False) -> None:
         self.function, self.signature, self.generic = function, signature, generic
-        self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
+        self.__doc__, self.__name__ = function.__doc__, function.__name__
+        self.__module__ = function.__module__ or "__main__"  # code that `exec` runs may be of no module
 
     @cached_property
     def uses(self) -> dict[str, Compiled | OwnFields]:
@@ -73,7 +75,7 @@ class Compiled:
 
     def __reduce__(self) -> tuple[Any, ...]:
         module = self.function.__module__
-        if module == "__main__" or getattr(importlib.import_module(module), self.__name__, None) is not self:
+        if module == "__main__" or getattr(sys.modules.get(module), self.function.__qualname__, None) is not self:
             return Compiled._again, (self.function, self.signature, self.generic)
         return _find, (module, self.function.__qualname__)
 

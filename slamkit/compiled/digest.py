@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
+from enum import EnumType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,8 @@ def digest_of(function: Any, salt: str) -> str:
 class _Walk:
     def __init__(self, salt: str) -> None:
         self.hash = hashlib.sha256(f"{salt} {np.__version__}".encode())
-        self.seen: set[int] = set()
+        #: Objects by their id, kept so that no other can take that id.
+        self.seen: dict[int, Any] = {}
 
     def text(self, *words: object) -> None:
         for word in words:
@@ -56,7 +58,7 @@ class _Walk:
         elif id(value) in self.seen:
             self.text("seen")
         else:
-            self.seen.add(id(value))
+            self.seen[id(value)] = value
             self._object(value)
 
     def _object(self, value: Any) -> None:
@@ -73,14 +75,21 @@ class _Walk:
             self._function(inner)
         elif hasattr(value, "sizes") and hasattr(value, "per_sighting"):
             self.text("own", sorted(value.sizes.items()), sorted(value.per_sighting.items()))
-        elif isinstance(value, BuiltinFunctionType | np.ufunc | type):
-            self.text("named", module, getattr(value, "__qualname__", getattr(value, "__name__", "")))
+        elif isinstance(value, np.ufunc):
+            self.text("ufunc", value.__name__)
+        elif isinstance(value, EnumType):
+            self.text("enum", value.__qualname__)
+            members: dict[str, Any] = dict(value.__members__)
+            self.add([(name, member.value) for name, member in members.items()])
+        elif isinstance(value, type) and issubclass(value, tuple) and hasattr(value, "_fields"):
+            self.text("fields", value.__qualname__, value._fields)
         else:
             raise Unkeyed(repr(value))
 
     def _function(self, function: FunctionType) -> None:
         self.text("function", function.__qualname__)
         self.add(function.__defaults__)
+        self.add(sorted((function.__kwdefaults__ or {}).items()))
         self._code(function.__code__)
         for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
             self.text(name)
@@ -91,17 +100,24 @@ class _Walk:
         for name in code.co_names:
             if name in names:
                 self.text(name)
-                value = names[name]
-                self.add(value)
-                if isinstance(value, ModuleType) and value.__name__.partition(".")[0] not in KNOWN:
-                    # Which of its attributes are read is not known from the names alone: all that may be.
-                    for attribute in code.co_names:
-                        if hasattr(value, attribute):
-                            self.text(attribute)
-                            self.add(getattr(value, attribute))
+                self.add(names[name])
+                self._attributes(code, names[name], set())
         for constant in code.co_consts:
             if isinstance(constant, CodeType):
                 self._names(constant, names)
+
+    def _attributes(self, code: CodeType, module: Any, walked: set[str]) -> None:
+        """Of a module that a function names: all attributes that the function may read, in modules inside too."""
+        if not isinstance(module, ModuleType) or module.__name__.partition(".")[0] in KNOWN:
+            return
+        walked.add(module.__name__)
+        for name in code.co_names:
+            value = getattr(module, name, None)
+            if value is not None:
+                self.text(name)
+                self.add(value)
+                if getattr(value, "__name__", None) not in walked:
+                    self._attributes(code, value, walked)
 
     def _code(self, code: CodeType) -> None:
         self.text("code", code.co_code, code.co_names, code.co_varnames)

@@ -273,11 +273,12 @@ def _table_at(table: TableType) -> Any:
 
 @unbox(TableType)
 def unbox_table(table: TableType, shared: Any, c: Any) -> Any:
-    """The address that an object of Python names."""
-    address = c.pyapi.object_getattr_string(shared, "address")
-    value = c.pyapi.long_as_longlong(address)
-    c.pyapi.decref(address)
-    return NativeValue(value, is_error=cgutils.is_not_null(c.builder, c.pyapi.err_occurred()))
+    """The address that an object of Python names; what asking for it raises is raised by the call."""
+    address, value = c.pyapi.object_getattr_string(shared, "address"), cgutils.alloca_once(c.builder, WORD)
+    with c.builder.if_then(cgutils.is_not_null(c.builder, address), likely=True):
+        c.builder.store(c.pyapi.long_as_longlong(address), value)
+        c.pyapi.decref(address)
+    return NativeValue(c.builder.load(value), is_error=cgutils.is_not_null(c.builder, c.pyapi.err_occurred()))
 
 
 @cache

@@ -25,7 +25,10 @@ def started_variance(state: Any, r: int) -> Any:
 
 @compiled("index(policy, models, state, index, vector)", generic=True)
 def initialise(policy: Any, models: Any, state: Any, place: int, z: Any) -> Any:
-    """Start a landmark from its first sighting; gives its slot, or -1 where no belief can hold it: it is refused."""
+    """Start a landmark from its first sighting; gives its slot.
+
+    The sighting is refused, and the slot is -1, if the mean or the covariance is one that no belief can hold.
+    """
     slot = state.belief.active
     policy.initialise(models, state, slot, place, z)
     G, block, mean = state.scratch.G_pose, state.scratch.block, state.belief.mean
@@ -41,7 +44,10 @@ def initialise(policy: Any, models: Any, state: Any, place: int, z: Any) -> Any:
         and block[1, 1] >= 0.0
         and block[0, 0] * block[1, 1] - block[0, 1] * block[1, 0] >= least
     ):
-        record_non_finite(state, place, z.shape[0])
+        record_non_finite(state, place, models.R.shape[0])
+        # Vectors of four numbers reach beyond what is active.
+        mean[slot] = mean[slot + 1] = 0.0
+        state.belief.linearised_at[slot] = state.belief.linearised_at[slot + 1] = 0.0
         return -1
     augment(state, slot)
     return slot

@@ -9,19 +9,32 @@ from slamkit.belief.dense import cholesky, downdate, forward, project, project_a
 from slamkit.compiled import compiled
 from slamkit.cycle.linearise import linearise, linearise_at_mean, linearise_one, move_iterate, shift_innovation
 from slamkit.cycle.status import NOT_DEFINITE, OK
+from slamkit.cycle.usable import CLOSE
 
-#: Noise below this share of S is lost in the rounding of a double.
-LOST = 1e-15
+#: Noise below this share of the prior variance that a sighting compares is lost in the rounding of a double.
+LOST = 1e-14
 #: A variance [m², rad²] no further below zero than this is rounding.
 TINY = 1e-12
 
 
-@compiled("flag(state, index, index)")
-def noise_is_lost(state: Any, first: int, k: int) -> bool:
-    """Whether the noise of the k rows from `first` on is beyond the digits of a double beside S."""
-    for r in range(k):  # noqa: SIM110  (compiled code)
-        if not state.scratch.noise[first + r, r] >= LOST * state.last.S[first + r, first + r]:
-            return True
+@compiled("flag(models, state, index)", generic=True)
+def noise_is_lost(models: Any, state: Any, j: int) -> bool:
+    """Whether the noise of sighting j is beyond a double's digits beside the prior variances that H P Hᵀ sums.
+
+    H P Hᵀ may be small all the same: a start that is unknown by a kilometre cancels, and leaves rounding.
+    """
+    cov, H, H_landmark, slot = state.belief.cov, state.scratch.H_pose, state.scratch.H_landmark, state.scratch.slots[j]
+    k = models.R.shape[0]
+    for r in range(j * k, (j + 1) * k):
+        prior = H[r, 0] * H[r, 0] * cov[0, 0] + H[r, 1] * H[r, 1] * cov[1, 1] + H[r, 2] * H[r, 2] * cov[2, 2]
+        prior += H_landmark[r, 0] * H_landmark[r, 0] * cov[slot, slot]
+        prior += H_landmark[r, 1] * H_landmark[r, 1] * cov[slot + 1, slot + 1]
+        noise = models.R[r - j * k, r - j * k]
+        if not noise >= LOST * prior:
+            largest = max(max(cov[0, 0], cov[1, 1]), max(cov[2, 2], max(cov[slot, slot], cov[slot + 1, slot + 1])))
+            # Else it is a lever arm that is large: the landmark is close.
+            if not largest <= CLOSE * noise:
+                return True
     return False
 
 
@@ -32,7 +45,7 @@ def gate_sightings(policy: Any, models: Any, state: Any, n: int) -> int:
     kept = 0
     for j in range(n):
         place = state.scratch.order[j]
-        if noise_is_lost(state, j * k, k) or not cholesky(state.last.S, state.last.L, j * k, k):
+        if noise_is_lost(models, state, j) or not cholesky(state.last.S, state.last.L, j * k, k):
             return -1
         nis = forward(state.last.L, state.last.y, state.last.t, j * k, k)
         for r in range(k):
@@ -109,7 +122,7 @@ def update_one(policy: Any, models: Any, state: Any) -> Any:
     state.scratch.innovations[place, 0], state.scratch.innovations[place, 1], state.scratch.nis[place] = y[0], y[1], nis
     state.scratch.accepted[place] = nis <= policy.gate
     if nis <= policy.gate:
-        return NOT_DEFINITE if nis < 0.0 or noise_is_lost(state, 0, 2) else commit_update(policy, state, 1, 2)
+        return NOT_DEFINITE if nis < 0.0 or noise_is_lost(models, state, 0) else commit_update(policy, state, 1, 2)
     record_rejected(state, 2)
     return OK
 

@@ -21,7 +21,7 @@ class Sealed(type):
 
 
 class Assignable(metaclass=Sealed):
-    """Attributes that may be assigned are properties with a setter, or set by the constructor of a subclass."""
+    """What may be assigned: a property with a setter, what a constructor has set, or a value of a user's class body."""
 
     #: Set by a constructor, and without effect if it were assigned later.
     fixed_attributes: ClassVar[tuple[str, ...]] = ()
@@ -36,11 +36,16 @@ class Assignable(metaclass=Sealed):
                     raise AssignmentError(f"{name} of a {kind.__name__} is read-only")
             elif name in fixed:
                 raise AssignmentError(f"{name} of a {kind.__name__} is chosen when it is made; make a new filter")
-            elif name not in vars(self):
+            elif name not in vars(self) and not _is_value(held):
                 near = difflib.get_close_matches(name, [n for n in dir(kind) if not n.startswith("_")], 1)
                 hint = f"; did you mean {near[0]}?" if near else ""
                 raise AssignmentError(f"a {kind.__name__} has no attribute {name!r}{hint}")
         object.__setattr__(self, name, value)
+
+
+def _is_value(held: Any) -> bool:
+    """Whether what a class holds is a plain value, which an object may have another of."""
+    return held is not None and not callable(held) and not hasattr(held, "__get__")
 
 
 F = TypeVar("F", bound=Callable[..., Any])

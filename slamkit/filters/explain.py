@@ -52,7 +52,7 @@ def failure(filter: Any, status: int, u: Array, ids: Sequence[Hashable], z: Arra
         else:
             what = f"landmark {i!r} was measured at {z[n]}"
         return InputError(f"{what}: too close, or outside of what {name} can predict and invert{where}")
-    return DivergenceError(f"S is not positive definite: {_imbalance(filter, ids)}{where}")
+    return DivergenceError(f"the update cannot be computed: {_imbalance(filter, ids)}{where}")
 
 
 def _imbalance(filter: Any, ids: Sequence[Hashable]) -> str:
@@ -65,4 +65,4 @@ def _imbalance(filter: Any, ids: Sequence[Hashable]) -> str:
             f"a prior variance of {prior:.3g} beside a measurement noise of {noise:.3g} is beyond the 16 digits of a "
             "double; start with a smaller pose_covariance, or state a larger noise"
         )
-    return "the covariance has lost its definiteness"
+    return "S or P is no longer positive definite"

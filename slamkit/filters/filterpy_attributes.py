@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
-from slamkit.arrays import Array, covariance, finite_array
+from slamkit.arrays import Array, covariance, finite_array, finite_number, real_array
 from slamkit.errors import UnsupportedError
 from slamkit.filters.assignment import Assignable, locked
 from slamkit.se2 import wrap
@@ -233,21 +233,25 @@ class FilterpyAttributes(Assignable):
         if z is None:
             self._belief.state.last.rows = 0
             return
-        x = self.x
-        measured = np.atleast_1d(np.asarray(z, dtype=float))
+        x, measured = self.x, np.atleast_1d(real_array("z", z))
         r = len(measured)
-        H = np.asarray(HJacobian(x, *(args if isinstance(args, tuple) else (args,))), dtype=float)
-        z_hat = Hx(x, *(hx_args if isinstance(hx_args, tuple) else (hx_args,)))
         measured = finite_array("z", measured, (r,))
+        H = real_array("HJacobian's result", HJacobian(x, *as_tuple(args)))
+        z_hat = Hx(x, *as_tuple(hx_args))
         H = finite_array("HJacobian's result", np.atleast_2d(H), (r, self.dim_x))
-        noise = self.R if R is None else np.eye(r) * float(R) if np.ndim(R) == 0 else R  # type: ignore[arg-type]
-        noise = covariance("R", noise, r)
-        y = finite_array("the residual", np.atleast_1d(np.asarray(residual(measured, z_hat), dtype=float)), (r,))
+        noise = self._noise(R, r)
+        y = finite_array("the residual", np.atleast_1d(real_array("the residual", residual(measured, z_hat))), (r,))
         self._to_standard_coordinates()
         self._update_dense(H, y, noise)
         self._belief.state.last.z[:r] = measured
         if self.snapshots:
             self._posterior = self.x, self.P
+
+    def _noise(self, R: ArrayLike | float | None, r: int) -> Array:
+        """R (r, r) of an extra sensor, from a matrix, a variance, or None for the sensor model's."""
+        if R is not None and np.ndim(R) == 0:
+            R = np.eye(r) * finite_number("R", R, lower=0.0)
+        return covariance("R", self.R if R is None else R, r)
 
     def predict_update(self, *args: Any, **kwargs: Any) -> None:
         """Refused: filterpy's form linearises the measurement at the state before the prediction."""
@@ -255,6 +259,11 @@ class FilterpyAttributes(Assignable):
             "predict_update would linearise at the state before the prediction; call predict(u, dt) and then "
             "update(z, HJacobian, Hx), or step(u, dt, scan)"
         )
+
+
+def as_tuple(arguments: Any) -> tuple[Any, ...]:
+    """Further arguments of a function; a lone one needs no tuple."""
+    return arguments if isinstance(arguments, tuple) else (arguments,)
 
 
 def _frozen(a: Array) -> Array:

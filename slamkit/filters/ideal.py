@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slamkit.arrays import Array
+from slamkit.arrays import Array, finite_number
 from slamkit.compiled import OwnFields, compiled
 from slamkit.cycle.estimator import EstimatorFunctions
 from slamkit.cycle.standard import initialise as standard_initialise
 from slamkit.cycle.standard import motion as standard_motion
 from slamkit.cycle.standard import motion_noise
 from slamkit.cycle.standard import sensor as standard_sensor
-from slamkit.errors import InputError, SlamkitError
+from slamkit.errors import InputError
+from slamkit.filters.assignment import locked
 from slamkit.filters.ekf import EKFSLAM
 from slamkit.filters.running import Progress
 from slamkit.logs import History, Log, Schedule, Truth, decode_id, encode_id
@@ -134,22 +135,26 @@ class IdealEKFSLAM(EKFSLAM):
         return self._truth
 
     @truth.setter
+    @locked
     def truth(self, value: Truth | None) -> None:
         self._learn(value)
 
     def _learn(self, truth: Truth | None) -> None:
+        if not isinstance(truth, Truth | None):
+            raise InputError(f"truth is a {type(truth).__name__}, expected a slamkit.Truth")
         if truth is None or len(truth.times) == 0:
             raise InputError("the ideal filter needs the truth: give truth=…, or run a log that has one")
         self._truth, self.time = truth, float(truth.times[0])
         self._belief.state.belief.linearised_at[:3] = truth.poses[0]
 
+    @locked
     def run(self, log: Log, progress: Progress = False) -> History:
         """As :meth:`EKFSLAM.run`; the truth is the log's, unless the filter has been given one."""
         if isinstance(log, Log) and self.truth is None:
             self._learn(log.truth)
         try:
             history = super().run(log, progress)
-        except (SlamkitError, KeyboardInterrupt) as failure:
+        except BaseException as failure:  # whatever a model in Python raises
             self._set_clock(getattr(failure, "history", None))
             raise
         self._set_clock(history)
@@ -220,4 +225,4 @@ class IdealEKFSLAM(EKFSLAM):
         return {"truth": Truth(np.array(known["times"]), np.array(known["poses"]).reshape(-1, 3), landmarks)}
 
     def _resume(self, facts: dict[str, Any]) -> None:
-        self.time = facts["time"]
+        self.time = finite_number("time", facts["time"])

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from slamkit.arrays import Array, Indices, covariance, finite_array, finite_number
 from slamkit.belief import Belief, Storage
+from slamkit.belief.compressed import undisturbed
 from slamkit.compiled import Compiled, MachineCode, OwnFields, needed
 from slamkit.cycle import EstimatorFunctions, Policy, Status, call
 from slamkit.cycle.run import run as run_steps
@@ -54,7 +55,7 @@ class LandmarkFilter(FilterpyAttributes):
     compresses: bool = True  #: whether an update leaves alone what is not in sight, so that it may rest
     fixed_attributes: ClassVar[tuple[str, ...]] = (
         *("name", "functions", "own_fields", "iterations", "base", "linearisation_points", "compresses"),
-        *("longest_stretch", "snapshots", "storage", "dim_z", "dim_u", "B"),
+        *("longest_stretch", "fixed_attributes", "snapshots", "storage", "dim_z", "dim_u", "B"),
     )
 
     def __init__(
@@ -445,7 +446,8 @@ class LandmarkFilter(FilterpyAttributes):
         finally:
             belief.state.scratch.careful = False
             if status not in DONE:
-                belief.restore(before)
+                with undisturbed():
+                    belief.restore(before)
         return status
 
     def _compiles(self) -> list[MachineCode]:

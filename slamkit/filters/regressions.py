@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, sin, sqrt
+from math import cos, isfinite, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,8 @@ import numpy as np
 from slamkit.belief.dense import cholesky, forward, is_finite, whiten
 from slamkit.compiled import OwnFields, compiled
 from slamkit.cycle.linearise import record_non_finite
+from slamkit.cycle.standard import initialise as jacobian_initialise
+from slamkit.cycle.standard import sensor as jacobian_sensor
 from slamkit.cycle.status import NOT_DEFINITE
 from slamkit.cycle.update import commit_update, gate_sightings, record_all_rejected
 from slamkit.se2 import wrap_angle
@@ -191,30 +193,78 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     regress_motion(models, state, u, dt, 3 + u.shape[0])
 
 
-@compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
-def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
-    """Regression over sigma points of the pose and this landmark: H = P_xzᵀ P⁻¹, its error added to the noise."""
-    k = z.shape[0]
-    params = models.sensor_params
-    L, columns, out = np.zeros((5, 5)), np.empty((5, 5)), np.empty((k, 5))
-    local_root(state, slot, L)
-    copy(L, columns)
-    turn_rows(columns, 5, pose[2])
-    s = spread(state, 5)
-    at_mean, predicted = np.empty(k), np.empty(k)
+@compiled("void(models, vector, vector, matrix, real, vector, matrix, matrix)", generic=True)
+def sight(
+    models: Any, pose: Any, landmark: Any, columns: Any, distance: float, at_mean: Any, plus: Any, minus: Any
+) -> None:
+    """What the sensor gives at (pose, landmark), and how that differs at this distance along ± each column (5, 5)."""
+    params, predicted, point = models.sensor_params, np.empty(at_mean.shape[0]), np.empty(5)
     models.predict(pose, landmark, params, at_mean)
-    plus, minus, point = np.empty((5, k)), np.empty((5, k)), np.empty(5)
     for i in range(5):
         for side in range(2):
-            step = s if side == 0 else -s
+            step = distance if side == 0 else -distance
             for j in range(3):
                 point[j] = pose[j] + step * columns[j, i]
             for j in range(2):
                 point[3 + j] = landmark[j] + step * columns[3 + j, i]
             models.predict(point[:3], point[3:], params, predicted)
             models.residual(predicted, at_mean, params, plus[i] if side == 0 else minus[i])
+
+
+@compiled("flag(matrix, matrix, matrix, index, index)")
+def explains(half: Any, error: Any, R: Any, first: int, n: int) -> bool:
+    """Whether a sighting, from row `first` on, varies more by its linear part and its noise than by the rest."""
+    for r in range(first, first + R.shape[0]):
+        variance = R[r - first, r - first]
+        for i in range(n):
+            variance += half[r, i] * half[r, i]
+        if not error[r, r] <= variance:
+            return False
+    return True
+
+
+@compiled("flag(models, state, vector, vector, index)", generic=True)
+def smooth(models: Any, state: Any, pose: Any, landmark: Any, slot: int) -> bool:
+    """Whether the sensor's curvature at the sigma points is what it is one standard deviation from the mean.
+
+    Near a kink or a pole (a landmark under the robot) it is not: extrapolated from close sigma points, it gives a
+    mean and a variance that no distribution can have.
+    """
+    k, R, s = models.R.shape[0], models.R, spread(state, 5)
+    L, columns, at_mean = np.zeros((5, 5)), np.empty((5, 5)), np.empty(k)
+    plus, minus, far_plus, far_minus = np.empty((5, k)), np.empty((5, k)), np.empty((5, k)), np.empty((5, k))
+    local_root(state, slot, L)
+    copy(L, columns)
+    turn_rows(columns, 5, pose[2])
+    sight(models, pose, landmark, columns, s, at_mean, plus, minus)
+    sight(models, pose, landmark, columns, 1.0, at_mean, far_plus, far_minus)
+    for i in range(5):
+        for r in range(k):
+            bend, far = abs(plus[i, r] + minus[i, r]) / (s * s), abs(far_plus[i, r] + far_minus[i, r])
+            if not bend <= 2.0 * far + sqrt(R[r, r]):
+                return False
+    return True
+
+
+@compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
+def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any, row: int) -> None:
+    """Regression over sigma points of the pose and this landmark: H = P_xzᵀ P⁻¹, its error added to the noise.
+
+    Where the sensor is not smooth enough for one, its Jacobians.
+    """
+    k = z.shape[0]
+    params = models.sensor_params
+    L, columns, out, at_mean = np.zeros((5, 5)), np.empty((5, 5)), np.empty((k, 5)), np.empty(k)
+    local_root(state, slot, L)
+    copy(L, columns)
+    turn_rows(columns, 5, pose[2])
+    plus, minus = np.empty((5, k)), np.empty((5, k))
+    sight(models, pose, landmark, columns, spread(state, 5), at_mean, plus, minus)
     half, error, mean = np.empty((k, 5)), np.empty((k, k)), np.empty(k)
     moments(state, plus, minus, half, error, mean, k, 5, 5)
+    if not explains(half, error, models.R, 0, 5) and not smooth(models, state, pose, landmark, slot):
+        jacobian_sensor(models, state, pose, landmark, slot, z, row)
+        return
     unwhiten(half, L, out, k, 5)
     turn_columns(out, k, 5, pose[2])
     for r in range(k):
@@ -255,6 +305,10 @@ def regress_initialise(models: Any, state: Any, slot: int, z: Any, total: int) -
                 out[j] -= centre[j]
     half, error, mean = np.empty((2, n)), np.empty((2, 2)), np.empty(2)
     moments(state, plus, minus, half, error, mean, 2, n, total)
+    # A noise wider than the range leads to a range below zero, which has no inverse.
+    if not (isfinite(error[0, 0]) and isfinite(error[1, 1])):
+        jacobian_initialise(models, state, slot, 0, z)
+        return
     unwhiten(half, L, state.scratch.G_pose, 2, 3)
     turn_columns(state.scratch.G_pose, 2, 3, pose[2])
     for i in range(2):
@@ -313,6 +367,20 @@ def whole_columns(P: Any, heading: float, count: int, floor: float, C: Any) -> N
     turn_rows(C, D, heading)
 
 
+@compiled("void(state, index, index, index, matrix, matrix, matrix, vector)")
+def differentiate(state: Any, slot: int, first: int, k: int, C: Any, half: Any, error: Any, shift: Any) -> None:
+    """Rows of a sighting, from `first` on, by the sensor's Jacobians instead of a regression."""
+    H, H_landmark = state.scratch.H_pose, state.scratch.H_landmark
+    for r in range(first, first + k):
+        shift[r] = 0.0
+        for q in range(error.shape[0]):
+            error[r, q] = error[q, r] = 0.0
+        for c in range(half.shape[1]):
+            half[r, c] = H_landmark[r, 0] * C[slot, c] + H_landmark[r, 1] * C[slot + 1, c]
+            for i in range(3):
+                half[r, c] += H[r, i] * C[i, c]
+
+
 @compiled("index(models, state, index)", generic=True)
 def regress(models: Any, state: Any, n: int) -> int:
     """y, S and w ← the cross-covariance, by regression of n sightings over the whole state; how many were finite.
@@ -354,6 +422,13 @@ def regress(models: Any, state: Any, n: int) -> int:
                     models.predict(point[:3], point[3:], params, predicted)
                     models.residual(predicted, centre[first : first + k], params, out[first : first + k])
     moments(state, plus, minus, half, error, shift, rows, count, D)
+    for j in range(n):
+        slot = slots[j]
+        landmark, H, H_landmark = mean[slot : slot + 2], state.scratch.H_pose, state.scratch.H_landmark
+        first, end = j * k, (j + 1) * k
+        models.sensor_jacobians(mean[:3], landmark, params, H[first:end], H_landmark[first:end])
+        if not explains(half, error, models.R, first, count) and not smooth(models, state, mean[:3], landmark, slot):
+            differentiate(state, slot, first, k, C, half, error, shift)
     kept = 0
     for j in range(n):
         first = j * k

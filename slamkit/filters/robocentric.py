@@ -15,6 +15,7 @@ from slamkit.belief.dense import gather
 from slamkit.compiled import MachineCode, OwnFields, compiled
 from slamkit.cycle.estimator import EstimatorFunctions
 from slamkit.cycle.standard import motion_noise
+from slamkit.filters.assignment import locked
 from slamkit.filters.ekf import EKFSLAM
 from slamkit.protocols import MotionModel, SensorModel
 from slamkit.se2 import wrap, wrap_angle
@@ -219,10 +220,12 @@ class RobocentricEKFSLAM(EKFSLAM):
     # -- in world coordinates -----------------------------------------------------------------------------------------
 
     @property
+    @locked
     def landmarks(self) -> dict[Hashable, Array]:
         """The map: id → position (2,) [m]; copies."""
         return dict(zip(self._belief.ids, self._mean()[3:].reshape(-1, 2), strict=True))
 
+    @locked
     def marginal(self, ids: Sequence[Hashable], pose: bool = False) -> tuple[Array, Array]:
         """As :meth:`EKFSLAM.marginal`."""
         mean, covariance = self._belief.marginal(ids, base=True)
@@ -238,11 +241,13 @@ class RobocentricEKFSLAM(EKFSLAM):
         return own(self._belief.state).start  # type: ignore[no-any-return]
 
     @property
+    @locked
     def F(self) -> Array:  # type: ignore[override]  # noqa: N802
         """Transition matrix (D, D) of the last prediction, formed when asked for."""
         return self._pose_block_in_world(super().F)
 
     @property
+    @locked
     def Q(self) -> Array:  # type: ignore[override]  # noqa: N802
         """Process noise (D, D) of the last prediction, formed when asked for."""
         return self._pose_block_in_world(super().Q)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from slamkit.arrays import Array, Indices
-from slamkit.belief import undisturbed
+from slamkit.belief.compressed import undisturbed
 from slamkit.cycle import Status, call
 from slamkit.cycle.run import run as run_steps
-from slamkit.errors import InputError, SlamkitError
+from slamkit.errors import InputError
 from slamkit.filters.explain import failure
 from slamkit.filters.inputs import NO_CONTROL, control_array
 from slamkit.logs import History, Log, Schedule
@@ -26,15 +26,19 @@ def run(filter: Any, log: Log, progress: Progress = False) -> History:
     """Run a filter over a log; :meth:`slamkit.filters.LandmarkFilter.run` has parameters and errors."""
     if not isinstance(log, Log):
         raise InputError(f"log is a {type(log).__name__}, expected a slamkit.Log")
-    known = filter.dim_u
+    known, started = filter.dim_u, time.perf_counter()
+    whole: _Run | None = None
     try:
         with undisturbed():
-            new = _Run(filter, log)
-        return new.go(progress)
-    except BaseException as error:
-        history = getattr(error, "history", None)
-        if history is None or len(history.times) == 0:
-            vars(filter)["dim_u"] = known  # a control that could not be used says nothing
+            whole = _Run(filter, log)
+        whole.go(progress)
+        return whole.history(time.perf_counter() - started)
+    except BaseException as error:  # Ctrl-C, or whatever a model in Python or the caller's progress raises
+        with undisturbed():
+            if whole is None or whole.done == 0:
+                vars(filter)["dim_u"] = known  # a control that could not be used says nothing
+            if whole is not None:
+                error.history = whole.history(time.perf_counter() - started)  # type: ignore[attr-defined]
         raise
 
 
@@ -62,38 +66,30 @@ class _Run:
         unseen = int(np.count_nonzero(self.slot_of < 0))
         filter._belief.reserve(0 if filter.compresses else unseen, widest, exactly=True)
         filter._belief.hint_final_size(unseen)
+        filter._belief.state.scratch.steps_done = 0
 
     @property
     def done(self) -> int:
         """Steps that the belief has taken; compiled code counts, so that an interrupt cannot come in between."""
         return self.filter._belief.state.scratch.steps_done  # type: ignore[no-any-return]
 
-    def go(self, progress: Progress) -> History:
-        started, K, stretch = time.perf_counter(), len(self.schedule.times), 1
-        self.filter._belief.state.scratch.steps_done = 0
-        report = _reporter(progress, K)
-        trouble: BaseException | None = None
+    def go(self, progress: Progress) -> None:
+        """Take all steps; raise what refuses one."""
+        K, stretch, report = len(self.schedule.times), 1, _reporter(progress, len(self.schedule.times))
         try:
-            while self.done < K and trouble is None:
+            while self.done < K:
                 begun = time.perf_counter()
                 # An interrupt is heard between whole steps.
                 with undisturbed():
                     status = self._call(min(self.done + stretch, K))
                     self._register_new_landmarks()
-                    trouble = self._follow_up(status)
+                    self._follow_up(status)
                 if self.filter._models.compiled:
                     # A call is to take a while, but an interrupt is to be heard and progress to be seen.
                     stretch = 4 * stretch if time.perf_counter() - begun < LONG_CALL else max(1, stretch // 2)
                 report(self.done)
-        except BaseException as error:  # whatever a model in Python or the caller's progress raises
-            trouble = error
         finally:
             report(None)
-        history = self._history(time.perf_counter() - started)
-        if trouble is not None:
-            trouble.history = history  # type: ignore[attr-defined]
-            raise trouble
-        return history
 
     def _call(self, end: int) -> int:
         """Take steps up to `end`, as many as one call can; the status of the last."""
@@ -119,8 +115,8 @@ class _Run:
                 self.slot_of[:] = slot_of
         return status
 
-    def _follow_up(self, status: int) -> SlamkitError | None:
-        """Do what a status asks for; an error if the next step was refused."""
+    def _follow_up(self, status: int) -> None:
+        """Do what a status asks for; raise if the next step was refused."""
         belief, done = self.filter._belief, self.done
         if status == Status.DUE:
             belief.flush_if_due()
@@ -128,19 +124,20 @@ class _Run:
             rows = slice(self.schedule.first[done], self.schedule.first[done + 1])
             if status == Status.FULL:
                 belief.grow_for(self.slot_of[self.which[rows]])
-                return None
+                return
             ids = [self.log.landmark_ids[i] for i in self.which[rows]]
             u = self.controls[max(int(self.schedule.control[done]), 0)]
-            return failure(
-                self.filter, status, u, ids, self.z[rows], f" at time {self.schedule.times[done]} s of the log"
-            )
-        return None
+            where = f" at time {self.schedule.times[done]} s of the log"
+            raise failure(self.filter, status, u, ids, self.z[rows], where)
 
     def _register_new_landmarks(self) -> None:
         """Name the landmarks that compiled code has started, in the order of their slots."""
         _register(self.filter._belief, self.log.landmark_ids, self.slot_of)
 
-    def _history(self, seconds: float) -> History:
+    def history(self, seconds: float) -> History:
+        """What the steps that are done have given."""
+        # An interrupt may come between a compiled stretch and the naming of the landmarks which that has started.
+        self._register_new_landmarks()
         f, log, schedule, done = self.filter, self.log, self.schedule, self.done
         landmarks, landmark_covariances = f._marginals()
         index = {i: n for n, i in enumerate(f._belief.slots)}

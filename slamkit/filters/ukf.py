@@ -9,9 +9,11 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import ArrayLike
 
-from slamkit.arrays import Array, finite_number
+from slamkit.arrays import Array, finite_number, real_array
 from slamkit.cycle import EstimatorFunctions
 from slamkit.errors import InputError
+from slamkit.filters.assignment import locked
+from slamkit.filters.filterpy_attributes import as_tuple
 from slamkit.filters.landmark_filter import LandmarkFilter
 from slamkit.filters.regressions import (
     PROBE,
@@ -121,6 +123,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         return own(self._belief.state).alpha  # type: ignore[no-any-return]
 
     @alpha.setter
+    @locked
     def alpha(self, value: float) -> None:
         self._set_scaling(value, self.beta, self.kappa)
 
@@ -130,6 +133,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         return own(self._belief.state).beta  # type: ignore[no-any-return]
 
     @beta.setter
+    @locked
     def beta(self, value: float) -> None:
         self._set_scaling(self.alpha, value, self.kappa)
 
@@ -139,6 +143,7 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         return own(self._belief.state).kappa  # type: ignore[no-any-return]
 
     @kappa.setter
+    @locked
     def kappa(self, value: float) -> None:
         self._set_scaling(self.alpha, self.beta, value)
 
@@ -158,35 +163,50 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         return np.asarray(self.points_fn.Wc)
 
     @property
+    @locked
     def sigmas_f(self) -> Array:  # type: ignore[override]
         """Sigma points (2D + 1, D) of the current belief, root in robot axes."""
         columns = self._columns() * spread(self._belief.state, self.dim_x)
         return np.vstack([self.x, self.x + columns.T, self.x - columns.T])
 
+    @locked
     def update(  # type: ignore[override]
         self,
         z: ArrayLike | None,
+        HJacobian: Any = None,
+        Hx: Callable[..., ArrayLike] | None = None,
         R: ArrayLike | float | None = None,
-        UT: Any = None,
-        hx: Callable[..., ArrayLike] | None = None,
+        args: Any = (),
+        hx_args: Any = (),
         residual: Callable[[Any, Any], Any] = np.subtract,
-        **hx_args: Any,
+        *,
+        hx: Callable[..., ArrayLike] | None = None,
+        **named: Any,
     ) -> None:
-        """Filterpy's own update, for an extra sensor on the full state.
+        """Filterpy's own update, for an extra sensor on the full state (a compass, a GPS).
+
+        The call is that of every filter: ``update(z, HJacobian, Hx, R)``. The form of filterpy's unscented filter,
+        ``update(z, R, hx=…)``, works as well.
 
         Parameters
         ----------
         z : array_like (r,) or None
             Measurement; None: nothing happens.
+        HJacobian : callable, optional
+            Not used, and may be None: a regression of `Hx` over sigma points stands in its place.
+        Hx : callable
+            ``Hx(x, *hx_args)``: the measurement (r,) that x (D,) would give.
         R : array_like (r, r) or float, optional
-            Noise covariance; the sensor model's by default.
-        UT : None
-            Accepted for filterpy's sake; the transform is this filter's own.
-        hx : callable
-            ``hx(x, **hx_args)``: the measurement (r,) that x (D,) would give.
+            Noise covariance; the sensor model's by default. With `hx` it may be the second argument.
+        args : tuple
+            Further arguments of `HJacobian`; not used.
+        hx_args : tuple
+            Further arguments of `Hx`.
         residual : callable
             ``residual(z, z_hat)``, for measurements that do not subtract (angles).
-        **hx_args
+        hx : callable, optional
+            filterpy's name for `Hx`: ``hx(x, **named)``.
+        **named
             Further arguments of `hx`.
 
         Raises
@@ -194,23 +214,26 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
         InputError
             A shape does not fit, or a value is not finite. The belief stays as it was.
         """
-        if UT is not None:
-            raise InputError("UT is given, but the unscented transform is this filter's own")
-        if z is not None and hx is None:
-            raise InputError("hx is missing: the function of the state that was measured")
+        if hx is not None:
+            if Hx is not None or named.pop("UT", None) is not None:
+                raise InputError("UT is given, but the unscented transform is this filter's own")
+            R, further = HJacobian if R is None else R, ()
+        else:
+            hx, further = Hx, as_tuple(hx_args)
+            if named:
+                raise InputError(f"update has no argument {next(iter(named))!r} beside Hx; give hx_args=(…)")
+        if z is None:
+            super().update(None, None, None)  # type: ignore[arg-type]
+            return
+        if not callable(hx):
+            raise InputError("Hx is missing: the function of the state that was measured")
 
         def at(x: Array) -> Array:
-            return np.atleast_1d(np.asarray(hx(x, **hx_args), dtype=float))  # type: ignore[misc]
+            return np.atleast_1d(real_array("Hx's result", hx(x, *further, **named)))
 
-        if z is None:
-            super().update(None, at, at)
-            return
-        H, fit = self._matrix(at, lambda a, b: np.atleast_1d(residual(a, b)))
-        r = len(fit.error)
-        noise = self.R if R is None else np.eye(r) * float(R) if np.ndim(R) == 0 else np.asarray(R)  # type: ignore[arg-type]
-        if noise.shape != (r, r):
-            raise InputError(f"R has shape {noise.shape}, hx gives {r} numbers")
-        super().update(z, lambda x: H, lambda x: at(x) + fit.mean, noise + fit.error, residual=residual)
+        H, fit = self._matrix(at, lambda a, b: np.atleast_1d(real_array("the residual", residual(a, b))))
+        noise = self._noise(R, len(fit.error)) + fit.error
+        super().update(z, lambda x: H, lambda x: at(x) + fit.mean, noise, residual=residual)
 
     # -- sigma points over the whole state ----------------------------------------------------------------------------
 
@@ -256,6 +279,9 @@ class UKFSLAM(LandmarkFilter, UnscentedKalmanFilter):  # type: ignore[misc, over
 
     def _facts(self) -> dict[str, Any]:
         return {"sigma_points": self.sigma_points, "alpha": self.alpha, "beta": self.beta, "kappa": self.kappa}
+
+    def _resume(self, facts: dict[str, Any]) -> None:
+        self._set_scaling(facts["alpha"], facts["beta"], facts["kappa"])
 
     @classmethod
     def _options(cls, facts: dict[str, Any]) -> dict[str, Any]:

@@ -15,8 +15,6 @@ from family import (
     ALL,
     FILTERS,
     MOTIONS,
-    ORDERS,
-    P0,
     ROUNDING,
     SENSORS,
     PlainMotion,
@@ -24,6 +22,17 @@ from family import (
     control_for,
     drive,
     extra_sensor,
+)
+from filter_examples import (
+    all_filters,
+    every_filter,
+    every_motion,
+    every_order,
+    every_sensor,
+    grown,
+    make,
+    same,
+    untouched,
 )
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,39 +42,6 @@ from slamkit import InputError, Log, ModelError, Scan, SlamkitError
 from slamkit.models import RangeBearing, Unicycle
 from slamkit.protocols import SensorFunctions
 from slamkit.se2 import wrap
-
-POSE = (0.3, -0.2, 3.0)
-every_filter = pytest.mark.parametrize("name", FILTERS)
-all_filters = pytest.mark.parametrize("name", ALL)
-every_order = pytest.mark.parametrize("order", ORDERS)
-every_motion = pytest.mark.parametrize("motion", MOTIONS)
-every_sensor = pytest.mark.parametrize("sensor", SENSORS)
-
-
-def make(name: str, motion: Any = "unicycle", sensor: Any = "range-bearing", **options: Any) -> Any:
-    m = MOTIONS[motion] if isinstance(motion, str) else motion
-    s = SENSORS[sensor] if isinstance(sensor, str) else sensor
-    return ALL[name](m, s, POSE, P0, **options)
-
-
-def grown(name: str, **options: Any) -> Any:
-    f = make(name, **options)
-    f.run(drive(f.motion, f.sensor))
-    return f
-
-
-def same(a: Any, b: Any) -> bool:
-    return (
-        np.array_equal(a.x, b.x)
-        and np.array_equal(a.P, b.P)
-        and a.landmark_ids == b.landmark_ids
-        and np.array_equal(a.y, b.y)
-        and np.array_equal(a.S, b.S)
-        and np.array_equal(a.K, b.K)
-        and np.array_equal(a.F, b.F)
-        and np.array_equal(a.Q, b.Q)
-        and a.log_likelihood == b.log_likelihood
-    )
 
 
 @all_filters
@@ -474,14 +450,6 @@ def test_progress_is_told(name: str) -> None:
 
 bad_numbers = st.sampled_from([np.nan, np.inf, -np.inf])
 shapes = st.sampled_from([(), (1,), (3,), (4,), (2, 2), (0,)])
-
-
-def untouched(f: Any, act: Any, *errors: type[Exception]) -> None:
-    before = copy.deepcopy(f)
-    with pytest.raises(errors or InputError) as caught:
-        act()
-    assert str(caught.value)
-    assert same(before, f)
 
 
 FAMILY = {name: grown(name) for name in FILTERS}

@@ -69,3 +69,48 @@ def test_the_constraint_is_for_sigma_points_of_a_part() -> None:
     world = circle(5, SENSORS["relative"])
     with pytest.raises(InputError, match="'full'"):
         ObservabilityConstrainedUKFSLAM(world.motion, world.sensor, sigma_points="full")
+
+
+def heading(x: Any, scale: float = 1.0) -> Any:
+    return scale * x[2:3]
+
+
+@pytest.mark.parametrize("kind", [UKFSLAM, FullUKFSLAM, ObservabilityConstrainedUKFSLAM])
+def test_an_extra_sensor_is_used_as_in_the_family_or_as_in_filterpy(kind: Any) -> None:
+    def new() -> Any:
+        f = kind(Unicycle(0.1, 0.05), SENSORS["range-bearing"], pose_covariance=P0)
+        f.step((1.0, 0.1), 1.0, {1: (3.0, 0.2), 2: (4.0, -0.2)})
+        return f
+
+    def turn(a: Any, b: Any) -> Any:
+        return wrap(a - b)
+
+    R, z = np.array([[1e-3]]), np.array([0.12])
+    filters = [new() for _ in range(8)]
+    a, b, c, d, e, g, h, i = filters
+    a.update(z, lambda x: np.eye(1, len(x), 2), heading, R, residual=turn)
+    b.update(z, None, heading, R=1e-3, residual=turn)
+    c.update(z, R, hx=heading, residual=turn)
+    d.update(z, R=R, hx=heading, UT=None, residual=turn)
+    e.update(z, None, heading, R, (), (1.0,), turn)
+    g.update(z, R, hx=heading, residual=turn, scale=1.0)
+    h.update(z, None, heading, R, hx_args=1.0)
+    i.update(0.12, 1e-3, None, hx=heading)
+    for f in filters[1:]:
+        assert np.array_equal(f.x, a.x) and np.array_equal(f.P, a.P) and np.array_equal(f.K, a.K)
+    assert a.pose_covariance[2, 2] < new().pose_covariance[2, 2]
+    x = a.x
+    a.update(None, None, None)
+    a.update(None, hx=heading)
+    assert np.array_equal(a.x, x)
+    for wrong in (
+        lambda: a.update(z),
+        lambda: a.update(z, R),
+        lambda: a.update(z, R, lambda *_: None, hx=heading),
+        lambda: a.update(z, R, hx=heading, UT=heading),
+        lambda: a.update(z, None, heading, R, scale=1.0),
+        lambda: a.update(z, None, lambda x: "a", R),
+    ):
+        with pytest.raises(InputError):
+            wrong()
+    assert np.array_equal(a.x, x)

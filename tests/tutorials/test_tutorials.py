@@ -364,7 +364,6 @@ def test_a_tutorial_runs_and_says_what_its_text_says(path: Path, tmp_path: Path)
 
 NOTEBOOKS = {
     "01": [],
-    "03": [pytest.mark.xfail(reason="a compiled function of a cell has no file beside which its cache could lie")],
 }
 
 
