@@ -29,7 +29,7 @@ DECOMPOSED = 600
 
 
 def to_arrays(belief: Belief) -> dict[str, NDArray[Any]]:
-    """Everything that `from_arrays` needs to continue exactly; flushes first."""
+    """Everything that `load_arrays` needs to continue exactly; flushes first."""
     belief.flush()
     belief._pack()
     belief._reads = 0
@@ -49,7 +49,7 @@ def to_arrays(belief: Belief) -> dict[str, NDArray[Any]]:
     return out
 
 
-def from_arrays(belief: Belief, ids: Iterable[Hashable], arrays: Mapping[str, NDArray[Any]]) -> None:
+def load_arrays(belief: Belief, ids: Iterable[Hashable], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Let a belief of no landmarks become the one that arrays of the right dtypes and number of dimensions describe.
 
     Raises

@@ -98,7 +98,7 @@ SCRATCH = {
     "status": Field("index", undone=False),  # of the last step of a run
     "steps_done": _number(),  # of the run under way
     "failing": Field("index", undone=False),  # place of the sighting for which a step was refused
-    "non_finite": _number(),  # sightings since the step began that gave no finite numbers
+    "non_finite_sightings": _number(),  # sightings since the step began that gave no finite numbers
     "careful": Field("flag", undone=False),  # whether the caller undoes a step that fails
     "pose": _scratch("vector", BASE),  # the pose that the step arrives at
     "refused": _scratch("vector", 18),  # F and Q before a prediction that may yet be refused

@@ -18,8 +18,8 @@ What distinguishes an estimator stands in its policy:
     writes a new landmark's mean, G_pose and the noise of its block; `place` is the sighting's place in the scan.
 ``report(state, pose, covariance)``
     writes the pose and its covariance in standard coordinates.
-``step(policy, models, state, u, dt, slots, z)``
-    the step itself: by its address, so that it is machine code once and not in each caller.
+``step(policy, models, state, u, dt, slots, z)``, ``process_scan(policy, models, state, slots, z, moved)``
+    the step itself, and its second half: by their addresses, so that they are machine code once, not in each caller.
 ``gate, iterations, batch``
     largest NIS that is accepted; linearisations of an update; whether a scan is one stacked update.
 """
@@ -33,6 +33,7 @@ from typing import Any, NamedTuple
 from slamkit.compiled import Compiled, Models, Shared, Table
 from slamkit.cycle import standard
 from slamkit.cycle.associate import known_ids
+from slamkit.cycle.scan import process_scan
 from slamkit.cycle.step import step
 from slamkit.cycle.update import update
 
@@ -46,6 +47,7 @@ POLICY = Table(
     retract="void(state)",
     initialise="void(models, state, index, index, vector)",
     report="void(state, vector, matrix)",
+    process_scan="index(policy, models, state, integers, matrix, flag)",
     step="index(policy, models, state, vector, real, integers, matrix)",
     gate="real",
     iterations="index",
@@ -70,7 +72,15 @@ class Policy(Shared):
     """What distinguishes one estimator, and the step that all have in common."""
 
     def __init__(self, functions: EstimatorFunctions, *, gate: float, iterations: int, batch: bool) -> None:
-        super().__init__(POLICY, **functions._asdict(), step=step, gate=gate, iterations=iterations, batch=batch)
+        super().__init__(
+            POLICY,
+            **functions._asdict(),
+            process_scan=process_scan,
+            step=step,
+            gate=gate,
+            iterations=iterations,
+            batch=batch,
+        )
 
     @cached_property
     def plain(self) -> SimpleNamespace:

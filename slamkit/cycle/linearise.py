@@ -11,7 +11,7 @@ from slamkit.compiled import compiled, rows_of
 @compiled("void(state, index, index)")
 def record_non_finite(state: Any, place: int, k: int) -> None:
     """Record that the sighting at this place of the scan gave no finite numbers. It counts as rejected."""
-    state.scratch.non_finite += 1
+    state.scratch.non_finite_sightings += 1
     state.scratch.accepted[place], state.scratch.nis[place] = False, inf
     for r in range(k):
         state.scratch.innovations[place, r] = nan

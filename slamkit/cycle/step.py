@@ -12,7 +12,6 @@ from slamkit.belief.rollback import SMALL, save_small, undo_small
 from slamkit.compiled import compiled, intrinsics
 from slamkit.cycle.activate import activate_scan, to_map_slots
 from slamkit.cycle.predict import commit, give_back, prepare
-from slamkit.cycle.scan import process_scan
 from slamkit.cycle.status import BAD_SIGHTING, CAREFUL, FULL, NOT_DEFINITE, OK
 from slamkit.cycle.upkeep import upkeep
 from slamkit.cycle.usable import first_unusable, needs_care
@@ -52,8 +51,8 @@ def step(policy: Any, models: Any, state: Any, u: Any, dt: float, slots: Any, z:
     if not state.scratch.careful and needs_care(models, state, slots, dt > 0.0):
         to_map_slots(state, slots)
         return give_back(state, dt, CAREFUL)
-    state.scratch.non_finite = 0
-    status = commit_and_process(policy, models, state, slots, z, dt)
+    state.scratch.non_finite_sightings = 0
+    status = predict_then_update(policy, models, state, slots, z, dt)
     to_map_slots(state, slots)
     return upkeep(state, slots.shape[0]) if status == OK else status
 
@@ -67,23 +66,23 @@ def try_small(policy: Any, models: Any, state: Any, slots: Any, z: Any, dt: floa
     D = state.belief.active
     rows, active, dim = state.last.rows, state.last.active, state.last.dim
     save_small(state)
-    state.scratch.non_finite = 0
-    status = commit_and_process(policy, models, state, slots, z, dt)
-    if status == OK and state.scratch.non_finite == 0:
+    state.scratch.non_finite_sightings = 0
+    status = predict_then_update(policy, models, state, slots, z, dt)
+    if status == OK and state.scratch.non_finite_sightings == 0:
         return OK
     for i in range(slots.shape[0]):
         slots[i] = slots[i] if slots[i] < D else -1
     undo_small(state, D)
     state.last.rows, state.last.active, state.last.dim = rows, active, dim
-    return BAD_SIGHTING if state.scratch.non_finite > 0 else NOT_DEFINITE
+    return BAD_SIGHTING if state.scratch.non_finite_sightings > 0 else NOT_DEFINITE
 
 
 @compiled("index(policy, models, state, integers, matrix, real)", generic=True)
-def commit_and_process(policy: Any, models: Any, state: Any, slots: Any, z: Any, dt: float) -> Any:
+def predict_then_update(policy: Any, models: Any, state: Any, slots: Any, z: Any, dt: float) -> Any:
     """Carry out a prediction that is prepared, unless dt is 0, and take the scan."""
     if dt > 0.0:
         commit(state)
-    return process_scan(policy, models, state, slots, z, dt > 0.0)
+    return policy.process_scan(policy, models, state, slots, z, dt > 0.0)
 
 
 as_policy, as_models, as_state = intrinsics("numba_types", "as_policy", "as_models", "as_state")

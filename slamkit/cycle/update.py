@@ -128,8 +128,14 @@ def update_one(policy: Any, models: Any, state: Any) -> Any:
 
 
 @compiled("index(policy, models, state, index)", generic=True)
-def update_stacked(policy: Any, models: Any, state: Any, n: int) -> Any:
-    """The update by n sightings of any length, stacked."""
+def update(policy: Any, models: Any, state: Any, n: int) -> Any:
+    """One update by the n sightings in ``state.scratch.slots`` and ``state.last.z``, stacked.
+
+    With more than one iteration it is the iterated EKF: linearise at the last iterate until it stands still
+    (Bell & Cathey, IEEE TAC 38(2), 1993: Gauss-Newton on the same cost).
+    """
+    if n == 1 and models.R.shape[0] == 2 and policy.iterations == 1:
+        return update_one(policy, models, state)
     k = models.R.shape[0]
     linearise_at_mean(state, n)
     n = linearise(policy, models, state, n)
@@ -160,15 +166,3 @@ def update_stacked(policy: Any, models: Any, state: Any, n: int) -> Any:
         shift_innovation(state, n, k)
         project(state, n, k)
     return commit_update(policy, state, n, k)
-
-
-@compiled("index(policy, models, state, index)", generic=True)
-def update(policy: Any, models: Any, state: Any, n: int) -> Any:
-    """One update by the n sightings in ``state.scratch.slots`` and ``state.last.z``, stacked.
-
-    With more than one iteration it is the iterated EKF: linearise at the last iterate until it stands still
-    (Bell & Cathey, IEEE TAC 38(2), 1993: Gauss-Newton on the same cost).
-    """
-    if n == 1 and models.R.shape[0] == 2 and policy.iterations == 1:
-        return update_one(policy, models, state)
-    return update_stacked(policy, models, state, n)

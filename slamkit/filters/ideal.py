@@ -174,14 +174,14 @@ class IdealEKFSLAM(EKFSLAM):
         mine.true_pose = self._true_pose(time)
         mine.true_landmarks[: len(ids)] = self._true_landmarks(ids)
 
-    def _run_step(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
+    def _apply_step(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
         if self.truth is None:
             self._learn(None)
         self._belief.reserve(0, len(ids))
         before = self._belief.state.own.copy()
         try:
             self._tell(self.time + dt, ids)
-            super()._run_step(u, dt, ids, z)
+            super()._apply_step(u, dt, ids, z)
         except BaseException:
             self._belief.state.own[: len(before)] = before
             raise

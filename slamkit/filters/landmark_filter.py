@@ -5,36 +5,29 @@ from __future__ import annotations
 import copy
 import sys
 import threading
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slamkit.arrays import Array, Indices, covariance, finite_array, finite_number
+from slamkit.arrays import Array, covariance, finite_array, finite_number
 from slamkit.belief import Belief, Storage
-from slamkit.belief.compressed import undisturbed
-from slamkit.compiled import Compiled, MachineCode, OwnFields, needed
-from slamkit.cycle import EstimatorFunctions, Policy, Status, call
-from slamkit.cycle.run import run as run_steps
-from slamkit.cycle.step import step, step_at
 from slamkit.errors import AssignmentError, InputError, UnsupportedError
-from slamkit.filters import explain, running, saving
+from slamkit.filters import running, saving
 from slamkit.filters.assignment import locked
-from slamkit.filters.filterpy_attributes import FilterpyAttributes
-from slamkit.filters.inputs import NO_CONTROL, control_array, hashable, sightings
+from slamkit.filters.inputs import NO_CONTROL, hashable, sightings
 from slamkit.filters.model_functions import adapt
 from slamkit.filters.running import Progress
-from slamkit.logs import History, Log, Scan, Schedule
+from slamkit.filters.stepping import Stepping
+from slamkit.logs import History, Log, Scan
 from slamkit.protocols import MotionModel, SensorModel, require_model
 from slamkit.se2 import wrap
 
-DONE = (Status.OK, Status.DUE)
 
-
-class LandmarkFilter(FilterpyAttributes):
+class LandmarkFilter(Stepping):
     """A filter over a pose and a growing map, composed from a motion and a sensor model.
 
     Concrete estimators derive from this class and from one of filterpy's. See :class:`slamkit.EKFSLAM` for the
@@ -44,19 +37,6 @@ class LandmarkFilter(FilterpyAttributes):
     -----
     Threads take turns with one filter: a call waits until another thread's call has ended.
     """
-
-    name: ClassVar[str]  #: the estimator's name on the command line and in figures
-    functions: ClassVar[EstimatorFunctions] = EstimatorFunctions()
-    own_fields: ClassVar[OwnFields] = OwnFields()  #: numbers that it keeps beside the belief
-    iterations: ClassVar[int] = 1  #: linearisations of an update, at most
-    base: ClassVar[int] = 3  #: entries of the belief before its first landmark, the pose in front
-    linearisation_points: ClassVar[str] = "mean"  #: field of the belief at which the Jacobians take their lever arms
-    longest_stretch: ClassVar[int] = sys.maxsize  #: steps that one compiled call over a log may take
-    compresses: bool = True  #: whether an update leaves alone what is not in sight, so that it may rest
-    fixed_attributes: ClassVar[tuple[str, ...]] = (
-        *("name", "functions", "own_fields", "iterations", "base", "linearisation_points", "compresses"),
-        *("longest_stretch", "fixed_attributes", "snapshots", "storage", "dim_z", "dim_u", "B"),
-    )
 
     def __init__(
         self,
@@ -92,10 +72,6 @@ class LandmarkFilter(FilterpyAttributes):
         self._belief = Belief(*start, self.dim_z, max(self.dim_u, 1), kept, self.own_fields)
         self._models = adapt(motion, sensor, R)
         self._policy = self._new_policy()
-
-    def _new_policy(self) -> Policy:
-        gate = np.inf if self._gate is None else self._gate
-        return Policy(self.functions, gate=gate, iterations=self.iterations, batch=self._order == "batch")
 
     # -- what it is made of -------------------------------------------------------------------------------------------
 
@@ -165,7 +141,7 @@ class LandmarkFilter(FilterpyAttributes):
         InputError
             Wrong shape, a value that is not finite, dt ≤ 0. The belief stays as it was.
         """
-        self._run_step(self._control(u), _duration(dt), (), np.empty((0, self.dim_z)))
+        self._apply_step(self._control(u), _duration(dt), (), np.empty((0, self.dim_z)))
         if self.snapshots:
             self._prior = self.x, self.P
 
@@ -190,7 +166,7 @@ class LandmarkFilter(FilterpyAttributes):
     def observe_scan(self, scan: Scan | Mapping[Hashable, ArrayLike]) -> None:
         """Use all sightings of one instant, in their order, or stacked where ``order="batch"``."""
         ids, z = sightings(scan, self.dim_z, self._sensor)
-        self._run_step(NO_CONTROL, 0.0, ids, z)
+        self._apply_step(NO_CONTROL, 0.0, ids, z)
         if self.snapshots:
             self._posterior = self.x, self.P
 
@@ -220,7 +196,7 @@ class LandmarkFilter(FilterpyAttributes):
             twin = copy.deepcopy(self)
             twin.predict(control, duration)
             prior = twin.x, twin.P
-        self._run_step(control, duration, ids, z)
+        self._apply_step(control, duration, ids, z)
         if prior is not None:
             self._prior, self._posterior = prior, (self.x, self.P)
 
@@ -331,133 +307,6 @@ class LandmarkFilter(FilterpyAttributes):
     def active_dim(self) -> int:
         """Dimension of the part of the state that an update touches: D, or less where part of a large map rests."""
         return self._belief.active
-
-    # -- what an estimator may do otherwise ---------------------------------------------------------------------------
-
-    def _marginals(self) -> tuple[Array, Array]:
-        """Mean (N, 2) and covariance (N, 2, 2) of every landmark by itself, in standard coordinates."""
-        self._to_standard_coordinates()
-        return self._belief.marginals()
-
-    def _to_standard_coordinates(self) -> None:
-        """Bring the covariance to standard coordinates at the current mean."""
-
-    def _lever_points(self) -> Array:
-        """Points (D,) at which the Jacobians take their lever arms; the entry of the heading means nothing."""
-        return self._belief.linearisation_points(self.linearisation_points)
-
-    def _regression(self, slot: int) -> tuple[Array, Array] | None:
-        """H (k, D) and noise (k, k) of a sighting of the landmark at `slot`; None where H is sparse."""
-        return None
-
-    def _change_frame(self, rows: Array, pose: Array) -> None:
-        """Take rows (dim, n), one an error of the belief, through the change of frame that ends a corrected step.
-
-        `pose` (3,) is the belief's pose after the step's last correction; the step itself is over.
-        """
-
-    def _mean(self) -> Array:
-        """Mean (D,) in standard coordinates; a copy."""
-        return self._belief.mean
-
-    def _covariance(self) -> Array:
-        """Covariance (D, D) in standard coordinates; a copy."""
-        return self._belief.covariance
-
-    def _set_mean(self, x: Array) -> None:
-        """Let x be the mean; P, in standard coordinates, stays."""
-        self._belief.mean = x
-
-    def _set_covariance(self, P: Array) -> None:
-        """Let P, in standard coordinates, be the covariance; x stays."""
-        self._belief.covariance = P
-
-    def _update_dense(self, H: Array, y: Array, R: Array) -> None:
-        """Update by ``y = H δ + v``, v ~ N(0, R), with a dense H (r, D) in standard coordinates."""
-        self._belief.gain(H, y, R)
-        self._belief.update(self._policy.retract)
-
-    def _before_stretch(self, log: Log, schedule: Schedule, done: int) -> None:
-        """Prepare the steps of a log from `done` on, at most `longest_stretch` of them."""
-
-    # -- between the caller and the step ------------------------------------------------------------------------------
-
-    def _control(self, u: ArrayLike) -> Array:
-        return control_array(u, self.dim_u, self._motion)
-
-    def _take_control_length(self, length: int) -> None:
-        """A plain model need not say how long its controls are: the first one that it takes does."""
-        if length != self.dim_u:
-            self._belief.reserve(0, control_dim=max(length, 1))
-            vars(self)["dim_u"] = length
-
-    def _run_step(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
-        """Predict over dt, unless it is 0, and use a scan; or raise, and nothing has changed."""
-        if dt > 0 and len(u) != self.dim_u:
-            known = self.dim_u
-            try:
-                self._take_control_length(len(u))
-                self._run_step(u, dt, ids, z)
-            except BaseException:
-                vars(self)["dim_u"] = known
-                raise
-            return
-        belief = self._belief
-        if len(ids) > len(belief.state.scratch.nis):
-            belief.reserve(0, len(ids))
-        try:
-            slots, all_known = np.fromiter(map(belief.slots.__getitem__, ids), np.int64, len(ids)), True
-        except KeyError:
-            slots, all_known = np.array([belief.slots.get(i, -1) for i in ids], dtype=np.int64), False
-        status = self._call_step(u, dt, slots, z)
-        if status == Status.FULL:
-            belief.grow_for(slots)
-            status = self._call_step(u, dt, slots, z)
-        if status == Status.CAREFUL:
-            status = self._undoing(lambda: self._call_step(u, dt, slots, z))
-        if status not in DONE:
-            raise explain.failure(self, status, u, ids, z)
-        if not all_known:
-            for i, slot in zip(ids, slots.tolist(), strict=True):
-                if slot >= 0 and i not in belief.slots:
-                    belief.register(i, slot)
-        if status == Status.DUE:
-            belief.flush_if_due()
-
-    def _call_step(self, u: Array, dt: float, slots: Indices, z: Array) -> int:
-        policy, models, state = self._policy, self._models, self._belief.state
-        if models.compiled:
-            return step_at.jitted(policy.address, models.address, state.address, u, dt, slots, z)  # type: ignore[no-any-return]
-        return self._call(step, u, dt, slots, z)
-
-    def _call(self, function: Compiled, *arguments: Any) -> int:
-        """Call a function of the cycle; a model in Python may raise in the middle of it, and that is undone."""
-        if self._models.compiled:
-            return int(call(function, self._policy, self._models, self._belief.state, *arguments))
-        return self._undoing(lambda: int(call(function, self._policy, self._models, self._belief.state, *arguments)))
-
-    def _undoing(self, go: Callable[[], int]) -> int:
-        """Take one step, and bring the belief back if that raises or is not done."""
-        belief = self._belief
-        before, status = belief.snapshot(), -1
-        belief.state.scratch.careful = True
-        try:
-            status = go()
-        finally:
-            belief.state.scratch.careful = False
-            if status not in DONE:
-                with undisturbed():
-                    belief.restore(before)
-        return status
-
-    def _compiles(self) -> list[MachineCode]:
-        """All machine code that the filter runs, compiled and as Python, what takes longest first."""
-        if not self._models.compiled:
-            return []
-        fields = [*self._policy.values.values(), *self._models.values.values()]
-        own = [step, *(f for f in fields if isinstance(f, Compiled) and f is not step)]
-        called = [run_steps, step_at, *(f for f in needed(own) if not f.generic)]
-        return [*((f, "in_table") for f in own), *((f, "jitted") for f in called)]
 
     # -- copies and files ---------------------------------------------------------------------------------------------
 

@@ -212,8 +212,8 @@ class RobocentricEKFSLAM(EKFSLAM):
     def _compiles(self) -> list[MachineCode]:
         return [*super()._compiles(), (compose, "jitted")]
 
-    def _run_step(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
-        super()._run_step(u, dt, ids, z)
+    def _apply_step(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
+        super()._apply_step(u, dt, ids, z)
         if own(self._belief.state).corrected:
             compose(self._belief.state)
 

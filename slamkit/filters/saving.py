@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from slamkit.belief import Storage
-from slamkit.belief.files import FORMS, UNBOUNDED, from_arrays, to_arrays
+from slamkit.belief.files import FORMS, UNBOUNDED, load_arrays, to_arrays
 from slamkit.errors import InputError, LogFileError
 from slamkit.logs import Field, decode_id, encode_id, read_archive, reading, write_archive
 from slamkit.models.registry import model_from_dict, model_to_dict
@@ -62,7 +62,7 @@ def load(cls: type[F], path: str | Path, motion: Any, sensor: Any) -> F:
         )
         _take_control_length(new, facts["dim_u"])
         ids = [_id(i) for i in facts["ids"]]
-        from_arrays(new._belief, ids, arrays)
+        load_arrays(new._belief, ids, arrays)
         new._resume(facts["own"])
     return new  # type: ignore[no-any-return]
 

@@ -66,7 +66,7 @@ def test_what_is_called_is_compiled_once_and_for_python_too() -> None:
 def test_only_functions_that_are_called_by_name_are_used() -> None:
     """An attribute of the same name, such as ``policy.update`` in the function `update`, is none."""
     assert list(scaled_total.uses) == ["total"]
-    assert list(update.uses) == ["update_one", "update_stacked"]
+    assert "update_one" in update.uses and "update" not in update.uses
 
 
 def test_a_table_holds_numbers_arrays_functions_and_tables() -> None:
