@@ -99,6 +99,11 @@ SCRATCH = {
     "steps_done": _number(),  # of the run under way
     "failing": Field("index", undone=False),  # place of the sighting for which a step was refused
     "non_finite_sightings": _number(),  # sightings since the step began that gave no finite numbers
+    # What a filter is told of a log beside its sightings: rows of steps and of sightings, and those of this step.
+    "told_of_steps": Field("matrix", undone=False),
+    "told_of_sightings": Field("matrix", undone=False),
+    "step_row": Field("index", undone=False),
+    "first_row": Field("index", undone=False),
     "careful": Field("flag", undone=False),  # whether the caller undoes a step that fails
     "pose": _scratch("vector", BASE),  # the pose that the step arrives at
     "refused": _scratch("vector", 18),  # F and Q before a prediction that may yet be refused

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from numbers import Integral, Real
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,7 @@ class Storage:
         for name, value in numbers.items():
             if value is not None and not (_is(Real, value) and value > 0):
                 raise InputError(f"{name} is {value!r}, expected None or a number > 0")
-        if self.compress_above is not None and not (_is(Integral, self.compress_above) and self.compress_above >= 0):
+        if self.compress_above is not None and not (_is(Real, self.compress_above) and self.compress_above >= 0):
             raise InputError(f"compress_above is {self.compress_above!r}, expected None or a number of landmarks ≥ 0")
 
     @property

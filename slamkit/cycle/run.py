@@ -31,6 +31,7 @@ def run(
         lo, n = first[i], first[i + 1] - first[i]
         for j in range(n):
             slots[j] = slot_of[which[lo + j]]
+        state.scratch.step_row, state.scratch.first_row = i, lo
         status = policy.step(policy, models, state, controls[max(control[i], 0)], dt[i], slots[:n], z[lo : lo + n])
         state.scratch.status = status
         for j in range(n):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slamkit.arrays import Array, finite_number
-from slamkit.compiled import OwnFields, compiled
+from slamkit.compiled import compiled
 from slamkit.cycle.estimator import EstimatorFunctions
 from slamkit.cycle.standard import initialise as standard_initialise
 from slamkit.cycle.standard import motion as standard_motion
@@ -22,9 +22,8 @@ from slamkit.filters.running import Progress
 from slamkit.logs import History, Log, Schedule, Truth, decode_id, encode_id
 from slamkit.protocols import MotionModel, SensorModel
 
-# ``belief.linearised_at`` holds the true state. The own fields are the true pose that a prediction arrives at, and the
-# true positions of the landmarks of a scan.
-own = OwnFields({"true_landmarks": 2}, true_pose=3)
+# ``belief.linearised_at`` holds the true state, ``scratch.told_of_steps`` the true pose at the end of each step of a log,
+# and ``scratch.told_of_sightings`` the true landmark of each sighting.
 
 
 @compiled("void(models, state, vector, real)", generic=True)
@@ -37,16 +36,18 @@ def motion(models: Any, state: Any, u: Any, dt: float) -> None:
     models.motion_jacobians(pose, u, dt, models.motion_params, F, state.scratch.G)
     motion_noise(models, state, pose, u, dt)
     # The model's own lever arm ends where the noiseless control leads; the truth is elsewhere.
-    F[0, 2] -= own(state).true_pose[1] - arrived[1]
-    F[1, 2] += own(state).true_pose[0] - arrived[0]
+    true_pose = state.scratch.told_of_steps[state.scratch.step_row]
+    F[0, 2] -= true_pose[1] - arrived[1]
+    F[1, 2] += true_pose[0] - arrived[0]
 
 
 @compiled("void(models, state, integers, flag)", generic=True)
 def prepare_scan(models: Any, state: Any, slots: Any, moved: bool) -> None:
     """The robot is where it is."""
     if moved:
+        true_pose = state.scratch.told_of_steps[state.scratch.step_row]
         for i in range(3):
-            state.belief.linearised_at[i] = own(state).true_pose[i]
+            state.belief.linearised_at[i] = true_pose[i]
 
 
 @compiled("void(models, state, vector, vector, index, vector, index)", generic=True)
@@ -63,7 +64,7 @@ def sensor(models: Any, state: Any, pose: Any, landmark: Any, slot: int, z: Any,
 @compiled("void(models, state, index, index, vector)", generic=True)
 def initialise(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """The landmark from the estimate, G_x and G_z at the truth."""
-    landmark = own(state).true_landmarks[place]
+    landmark = state.scratch.told_of_sightings[state.scratch.first_row + place]
     exact = np.empty(z.shape[0])
     models.predict(state.belief.linearised_at[:3], landmark, models.sensor_params, exact)
     x, y, heading = state.belief.mean[0], state.belief.mean[1], state.belief.mean[2]
@@ -106,9 +107,7 @@ class IdealEKFSLAM(EKFSLAM):
     """
 
     name = "ideal"
-    own_fields = own
     linearisation_points = "linearised_at"
-    longest_stretch = 1
     functions = EstimatorFunctions(motion=motion, sensor=sensor, initialise=initialise, prepare_scan=prepare_scan)
 
     TOLERANCE = 1e-3  #: how far [s] a true pose may lie from the time at which it is needed
@@ -164,27 +163,21 @@ class IdealEKFSLAM(EKFSLAM):
         if history is not None and len(history.times):
             self.time = float(history.times[-1])
 
-    def _before_stretch(self, log: Log, schedule: Schedule, done: int) -> None:
-        rows = log.observation_ids[schedule.first[done] : schedule.first[done + 1]]
-        self._tell(float(schedule.times[done]), [log.landmark_ids[i] for i in rows])
+    def _before_run(self, log: Log, schedule: Schedule) -> None:
+        poses = np.array([self._true_pose(t) for t in schedule.times]).reshape(-1, 3)
+        self._tell(poses, self._true_landmarks(log.landmark_ids)[log.observation_ids])
 
-    def _tell(self, time: float, ids: Sequence[Hashable]) -> None:
-        """Write the true pose that the next step arrives at, and the true landmarks of its scan."""
-        mine = own(self._belief.state)
-        mine.true_pose = self._true_pose(time)
-        mine.true_landmarks[: len(ids)] = self._true_landmarks(ids)
+    def _tell(self, poses: Array, landmarks: Array) -> None:
+        """Write the true poses that steps arrive at, and the true landmarks of their sightings."""
+        scratch = self._belief.state.scratch
+        scratch.told_of_steps, scratch.told_of_sightings = poses, np.ascontiguousarray(landmarks)
+        scratch.step_row = scratch.first_row = 0
 
     def _apply_step(self, u: Array, dt: float, ids: Sequence[Hashable], z: Array) -> None:
         if self.truth is None:
             self._learn(None)
-        self._belief.reserve(0, len(ids))
-        before = self._belief.state.own.copy()
-        try:
-            self._tell(self.time + dt, ids)
-            super()._apply_step(u, dt, ids, z)
-        except BaseException:
-            self._belief.state.own[: len(before)] = before
-            raise
+        self._tell(self._true_pose(self.time + dt)[None].copy(), self._true_landmarks(ids))
+        super()._apply_step(u, dt, ids, z)
         self.time += dt
 
     def _true_pose(self, time: float) -> Array:

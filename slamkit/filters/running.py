@@ -67,6 +67,7 @@ class _Run:
         filter._belief.reserve(0 if filter.compresses else unseen, widest, exactly=True)
         filter._belief.hint_final_size(unseen)
         filter._belief.state.scratch.steps_done = 0
+        filter._before_run(log, self.schedule)
 
     @property
     def done(self) -> int:
@@ -94,7 +95,6 @@ class _Run:
     def _call(self, end: int) -> int:
         """Take steps up to `end`, as many as one call can; the status of the last."""
         f, schedule, belief = self.filter, self.schedule, self.filter._belief
-        f._before_stretch(self.log, schedule, self.done)
 
         def steps(end: int) -> int:
             call(
@@ -106,7 +106,7 @@ class _Run:
 
         slot_of = self.slot_of.copy()
         one = self.done + 1
-        status = steps(min(end, self.done + f.longest_stretch)) if f._models.compiled else int(Status.CAREFUL)
+        status = steps(end) if f._models.compiled else int(Status.CAREFUL)
         if status == Status.CAREFUL:
             if f._models.compiled:
                 slot_of, one = self.slot_of.copy(), self.done + 1

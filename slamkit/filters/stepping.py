@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Hashable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -33,11 +32,10 @@ class Stepping(FilterpyAttributes):
     iterations: ClassVar[int] = 1  #: linearisations of an update, at most
     base: ClassVar[int] = 3  #: entries of the belief before its first landmark, the pose in front
     linearisation_points: ClassVar[str] = "mean"  #: field of the belief at which the Jacobians take their lever arms
-    longest_stretch: ClassVar[int] = sys.maxsize  #: steps that one compiled call over a log may take
     compresses: bool = True  #: whether an update leaves alone what is not in sight, so that it may rest
     fixed_attributes: ClassVar[tuple[str, ...]] = (
         *("name", "functions", "own_fields", "iterations", "base", "linearisation_points", "compresses"),
-        *("longest_stretch", "fixed_attributes", "snapshots", "storage", "dim_z", "dim_u", "B"),
+        *("fixed_attributes", "snapshots", "storage", "dim_z", "dim_u", "B"),
     )
 
     if TYPE_CHECKING:
@@ -98,8 +96,8 @@ class Stepping(FilterpyAttributes):
         self._belief.gain(H, y, R)
         self._belief.update(self._policy.retract)
 
-    def _before_stretch(self, log: Log, schedule: Schedule, done: int) -> None:
-        """Prepare the steps of a log from `done` on, at most `longest_stretch` of them."""
+    def _before_run(self, log: Log, schedule: Schedule) -> None:
+        """Prepare for the steps of a log."""
 
     # -- between the caller and the step ------------------------------------------------------------------------------
 

@@ -72,7 +72,12 @@ def test_every_attribute_is_the_same_after_P_was_read(name: str, storage: Any) -
 @every_filter
 @every_storage
 def test_the_gain_moves_the_mean(name: str, storage: Any) -> None:
-    """x + K y is the mean after an update, in the coordinates of x: K is that of the state before it."""
+    """x + K y is the mean after an update, in the coordinates of x: K is that of the state before it.
+
+    The iterated EKF's gain belongs to its last iterate, and not to the innovation y at the first.
+    """
+    if name == "iterated":
+        return
     f = grown(name, storage=storage)
     for read in (False, True):
         if read:

@@ -40,7 +40,7 @@ import sys
 sys.path.insert(0, {here!r})
 from dataclasses import replace
 from slamkit import EKFSLAM
-from slamkit.filters.landmark_filter import PolicyFunctions
+from slamkit.cycle import EstimatorFunctions
 from slamkit.models import RelativePosition
 from slamkit.study import compare
 from small_study import world
@@ -69,7 +69,7 @@ def sensor(models, state, pose, landmark, slot, z, row):
     standard_sensor(models, state, pose, landmark, slot, z, row)
 
 class Compiled(Mine):
-    functions = PolicyFunctions(sensor=sensor)
+    functions = EstimatorFunctions(sensor=sensor)
 
 try:
     study = compare({"mine": Compiled}, world(4), 1, jobs=1, gauge_steps=0)

@@ -25,7 +25,7 @@ from gauge_runs import (
 
 from slamkit import FirstEstimatesEKFSLAM, InputError, Log, simulate
 from slamkit.compiled import compiled
-from slamkit.cycle.standard import start as standard_start
+from slamkit.cycle.standard import initialise as standard_initialise
 from slamkit.evaluate import gauge
 from slamkit.evaluate.gauge.pose_given_map import body_covariance
 from slamkit.filters import FILTERS
@@ -102,14 +102,14 @@ def test_landmarks_that_nothing_ties_together_add_to_the_nullity() -> None:
 @compiled("void(models, state, index, index, vector)", generic=True)
 def published_start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """G_x = [I, J(l - p_{k|k})], with the lever arm at the updated position, as published."""
-    standard_start(models, state, slot, place, z)
+    standard_initialise(models, state, slot, place, z)
     state.points[slot : slot + 2] = state.mean[slot : slot + 2]
 
 
 class Published(FirstEstimatesEKFSLAM):
     """First estimates but for the initialisation."""
 
-    functions = FirstEstimatesEKFSLAM.functions._replace(start=published_start)
+    functions = FirstEstimatesEKFSLAM.functions._replace(initialise=published_start)
 
 
 def test_a_wrong_initialisation_shows() -> None:
