@@ -22,7 +22,7 @@ from slamkit.filters.running import Progress
 from slamkit.logs import History, Log, Schedule, Truth, decode_id, encode_id
 from slamkit.protocols import MotionModel, SensorModel
 
-# ``belief.linearised_at`` holds the true state, ``scratch.told_of_steps`` the true pose at the end of each step of a log,
+# ``belief.linearised_at`` holds the true state, ``scratch.told_of_steps`` the true pose at the end of each step,
 # and ``scratch.told_of_sightings`` the true landmark of each sighting.
 
 
