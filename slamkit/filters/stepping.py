@@ -116,7 +116,7 @@ class Stepping(FilterpyAttributes):
             known = self.dim_u
             try:
                 self._take_control_length(len(u))
-                self._apply_step(u, dt, ids, z)
+                Stepping._apply_step(self, u, dt, ids, z)  # not an override, which has begun already
             except BaseException:
                 vars(self)["dim_u"] = known
                 raise

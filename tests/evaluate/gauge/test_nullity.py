@@ -103,7 +103,7 @@ def test_landmarks_that_nothing_ties_together_add_to_the_nullity() -> None:
 def published_start(models: Any, state: Any, slot: int, place: int, z: Any) -> None:
     """G_x = [I, J(l - p_{k|k})], with the lever arm at the updated position, as published."""
     standard_initialise(models, state, slot, place, z)
-    state.points[slot : slot + 2] = state.mean[slot : slot + 2]
+    state.belief.linearised_at[slot : slot + 2] = state.belief.mean[slot : slot + 2]
 
 
 class Published(FirstEstimatesEKFSLAM):
