@@ -24,7 +24,7 @@ def control_array(u: ArrayLike, length: int, model: object) -> Array:
     InputError
         It is not an array of numbers, or has another shape.
     """
-    control = real_array("u", u)
+    control = _taken_as_it_is("u", u)
     if control.ndim != 1 or len(control) == 0 or (length and len(control) != length):
         wanted = f"({length},)" if length else "(m,)"
         raise InputError(f"u has shape {control.shape}, {type(model).__name__} takes {wanted}")
@@ -47,7 +47,7 @@ def sightings(scan: Scan | Mapping[Hashable, ArrayLike], k: int, model: object) 
         ids, values = tuple(scan), list(scan.values())
     else:
         raise InputError(f"scan is a {type(scan).__name__}, expected a mapping id → z or a slamkit.Scan")
-    z = real_array("scan", values)
+    z = _taken_as_it_is("scan", values)
     if len(ids) == 0 and z.size == 0:
         return (), np.empty((0, k))
     if z.shape != (len(ids), k):
@@ -76,3 +76,10 @@ def hashable(landmark_id: Hashable) -> Hashable:
     except TypeError as error:
         raise InputError(f"a landmark id must be hashable: {error}") from None
     return landmark_id
+
+
+def _taken_as_it_is(name: str, value: Any) -> Array:
+    """An array that compiled code can read where it lies, without a copy; anything else as `real_array` gives it."""
+    if type(value) is np.ndarray and value.dtype == np.float64 and value.flags.carray:
+        return value
+    return real_array(name, value)

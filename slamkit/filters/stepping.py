@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from slamkit.arrays import Array, Indices
 from slamkit.belief.compressed import undisturbed
 from slamkit.compiled import Compiled, MachineCode, Models, OwnFields, needed
-from slamkit.cycle import EstimatorFunctions, Policy, Status, call
+from slamkit.cycle import EstimatorFunctions, Policy, call
 from slamkit.cycle.run import run as run_steps
+from slamkit.cycle.status import CAREFUL, DUE, FULL, OK
 from slamkit.cycle.step import step, step_at
 from slamkit.filters import explain
 from slamkit.filters.filterpy_attributes import FilterpyAttributes
@@ -20,7 +21,7 @@ from slamkit.filters.inputs import control_array
 from slamkit.logs import Log, Schedule
 from slamkit.protocols import MotionModel, SensorModel
 
-DONE = (Status.OK, Status.DUE)
+DONE = (OK, DUE)
 
 
 class Stepping(FilterpyAttributes):
@@ -129,18 +130,19 @@ class Stepping(FilterpyAttributes):
         except KeyError:
             slots, all_known = np.array([belief.slots.get(i, -1) for i in ids], dtype=np.int64), False
         status = self._run_step(u, dt, slots, z)
-        if status == Status.FULL:
-            belief.grow_for(slots)
-            status = self._run_step(u, dt, slots, z)
-        if status == Status.CAREFUL:
-            status = self._undoing(lambda: self._run_step(u, dt, slots, z))
-        if status not in DONE:
-            raise explain.failure(self, status, u, ids, z)
+        if status != OK:
+            if status == FULL:
+                belief.grow_for(slots)
+                status = self._run_step(u, dt, slots, z)
+            if status == CAREFUL:
+                status = self._undoing(lambda: self._run_step(u, dt, slots, z))
+            if status not in DONE:
+                raise explain.failure(self, status, u, ids, z)
         if not all_known:
             for i, slot in zip(ids, slots.tolist(), strict=True):
                 if slot >= 0 and i not in belief.slots:
                     belief.register(i, slot)
-        if status == Status.DUE:
+        if status == DUE:
             belief.flush_if_due()
 
     def _run_step(self, u: Array, dt: float, slots: Indices, z: Array) -> int:
