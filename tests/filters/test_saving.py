@@ -159,7 +159,7 @@ def test_every_fact_has_its_kind(name: str, tmp_path: Path) -> None:
     wrong += [("sensor", facts["motion"]), ("motion", facts["sensor"]), ("own", None), ("own", [])]
     storage = facts["storage"]
     wrong += [("storage", storage | {key: value}) for key in storage for value in ("a", -1, True, [1], {})]
-    wrong += [("storage", storage | {"compress_above": 0.5}), ("storage", {"further": 1}), ("storage", [])]
+    wrong += [("storage", storage | {"compress_above": "many"}), ("storage", {"further": 1}), ("storage", [])]
     nested: Any = 1
     for _ in range(500):
         nested = [nested]
