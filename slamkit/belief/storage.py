@@ -25,7 +25,7 @@ class Storage:
     ----------
     compress_above : int, optional
         Number of landmarks above which the filter defers updates to landmarks that are out of view. None: above 64,
-        unless deferring turns out to cost more, as on a small map of which nearly all is sighted all the time. An
+        unless deferring turns out to cost more, as on a small map where nearly every landmark is always in view. An
         estimator whose every update moves every landmark never defers.
     flush_work : float, optional
         Multiply-adds that one step may spend on a flush. The flush is then spread over as many steps as it needs.

@@ -12,7 +12,7 @@ from slamkit.simulate import World
 __all__ = ["FILES", "read_settings", "write_log"]
 
 
-FILES = {"motion": "controls.csv", "sensor": "observations.csv"}  #: which file has the numbers of which model
+FILES = {"motion": "controls.csv", "sensor": "observations.csv"}  #: the file with the numbers of each model
 
 
 def read_settings(folder: Path) -> tuple[Settings, dict[str, tuple[str, ...]]]:
